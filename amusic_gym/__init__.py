@@ -1,0 +1,16 @@
+"""Learned selection of visual place recognition techniques, as a Gymnasium environment.
+
+``gymnasium.make("amusic_gym:amusic_gym/TechniqueSelection-v0")`` makes the environment. Importing
+this package loads NumPy and Gymnasium only; what needs more is imported when it is used.
+"""
+
+from __future__ import annotations
+
+from amusic_gym.bank import ScoreBank
+from amusic_gym.ground_truth import GroundTruth
+from amusic_gym.registration import ENV_ID, register
+
+__version__ = "0.1.0"
+__all__ = ["ENV_ID", "GroundTruth", "ScoreBank", "__version__", "register"]
+
+register()

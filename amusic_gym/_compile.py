@@ -1,0 +1,60 @@
+"""How this project compiles its numeric kernels: the one place that talks to Numba's decorators."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+from numba import njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+KERNEL_SOURCES = ("_compile.py", "settings.py", "sic.py", "observation.py", "dynamics.py")
+
+
+@cache
+def sources_digest() -> str:
+    """Digest of all files whose code ends up in compiled functions."""
+    folder = Path(__file__).parent
+    text = b"".join((folder / name).read_bytes() for name in KERNEL_SOURCES)
+    return hashlib.sha256(text).hexdigest()
+
+
+def compiled(function: Function) -> Function:
+    """Compile ``function`` on first use; the machine code is cached beside the source.
+
+    Numba watches only the file of the cached function itself, but machine code holds that of its
+    callees too: without the digest, a change in one kernel file would leave another's stale.
+    """
+    dispatcher = njit(cache=True, error_model="numpy")(function)
+    file = dispatcher._cache._cache_file
+    file._source_stamp = (file._source_stamp, sources_digest())
+    return dispatcher  # type: ignore[no-any-return]
+
+
+def inner(function: Function) -> Function:
+    """Compile a ``function`` that only compiled ones call: no way in from Python, so sooner done.
+
+    Not cached by itself: it is part of its callers' machine code.
+    """
+    options = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
+    return njit(**options)(function)  # type: ignore[no-any-return]
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def pointer(typing_context: Any, address: Any) -> Any:
+    """Turn an integer address into a pointer for ``numba.carray``.
+
+    Routes of one batch lie in different banks of different size; a table of addresses lets one
+    compiled loop visit all of them. Whoever stores an address also keeps its array alive.
+    """
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], cgutils.voidptr_t)
+
+    return types.voidptr(address), codegen

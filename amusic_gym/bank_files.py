@@ -1,0 +1,246 @@
+"""A score bank's folder: ``scores.npy``, ``ground_truth.npz`` and ``bank.json``."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym import storage
+from amusic_gym.ground_truth import GroundTruth, whole_number
+
+FORMAT_VERSION = 1
+MANIFEST, SCORES, TRUTH = "bank.json", "scores.npy", "ground_truth.npz"
+
+_FILES = frozenset((MANIFEST, SCORES, TRUTH))
+_READ_ATTEMPTS = 20
+_REBUILD = "copy the bank again or build it anew with scripts/bank.py"
+
+
+@dataclass(frozen=True, eq=False)
+class BankFiles:
+    """What a bank's folder holds, checked against itself.
+
+    Attributes:
+        path: the folder, absolute.
+        scores: (T, Q, R) float32, read-only view of the memory-mapped file.
+        truth: Q queries, R references.
+        techniques: T pairs of name and seconds per run.
+        tolerance: places.
+        name: of the bank; may be empty.
+        source: where the scores come from.
+        costs: cost model of the seconds.
+        fingerprint: checksum of ``bank.json``, and by its checksums of the other files.
+    """
+
+    path: Path
+    scores: NDArray[np.float32]
+    truth: GroundTruth
+    techniques: list[tuple[str, float]]
+    tolerance: int
+    name: str
+    source: str
+    costs: str
+    fingerprint: str
+
+
+def write(
+    path: Path,
+    *,
+    scores: Sequence[NDArray[np.float32]],
+    truth: GroundTruth,
+    techniques: Sequence[tuple[str, float]],
+    tolerance: int,
+    name: str,
+    source: str,
+    costs: str,
+) -> Path:
+    """Write a bank's folder at ``path``, whole or not at all.
+
+    Args:
+        path: the folder to make, or the bank to replace.
+        scores: T matrices (Q, R), written one after the other, so that none is copied.
+        truth: Q queries, R references.
+        techniques: T pairs of name and seconds.
+        tolerance: places.
+        name: of the bank.
+        source: where the scores come from.
+        costs: cost model of the seconds.
+
+    Returns:
+        The folder's absolute path.
+    """
+    path = Path(os.path.realpath(path))
+    with storage.replacing_folder(path, MANIFEST, _FILES) as folder:
+        _write_scores(folder / SCORES, scores)
+        np.savez(
+            folder / TRUTH,
+            indptr=truth.indptr,
+            places=truth.places,
+            references=np.int64(truth.references),
+        )
+        manifest: dict[str, Any] = {
+            "format_version": FORMAT_VERSION,
+            "name": name,
+            "source": source,
+            "techniques": [{"name": each, "seconds": seconds} for each, seconds in techniques],
+            "costs": costs,
+            "tolerance": tolerance,
+            "queries": truth.queries,
+            "references": truth.references,
+            "files": {
+                file: {
+                    "bytes": (folder / file).stat().st_size,
+                    "sha256": storage.sha256(folder / file),
+                }
+                for file in (SCORES, TRUTH)
+            },
+        }
+        manifest["sha256"] = _checksum(manifest)
+        text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
+        (folder / MANIFEST).write_text(text, encoding="utf-8")
+    return path
+
+
+def read(path: Path, *, verify: bool) -> BankFiles:
+    """Read and check a bank's folder.
+
+    Args:
+        path: the folder.
+        verify: also compare the checksum of the scores, which reads them all.
+
+    Raises:
+        FileNotFoundError: when the folder or a file in it is missing.
+        ValueError: when it is damaged or from a newer format.
+    """
+    path = Path(os.path.realpath(path))
+    storage.restore_folder(path)
+    for _ in range(_READ_ATTEMPTS):
+        before = _manifest_bytes(path)
+        failure: Exception | None = None
+        try:
+            files = _read_once(path, before, verify)
+        except (ValueError, FileNotFoundError) as error:
+            failure = error
+        # The same bank.json after as before, and with it the same checksums: no writer came
+        # between, and the three files belong together.
+        if _manifest_bytes(path) == before:
+            if failure is not None:
+                raise failure
+            return files
+    raise ValueError(f"bank {path} is being rewritten all the time; load it when that is over")
+
+
+def _manifest_bytes(path: Path) -> bytes:
+    if path.exists() and not path.is_dir():
+        raise ValueError(f"{path} is a file; a bank is a folder with {MANIFEST} in it")
+    if not (path / MANIFEST).is_file():
+        what = f"has no {MANIFEST}, so it is not a bank" if path.is_dir() else "does not exist"
+        raise FileNotFoundError(f"bank {path} {what}; build one with scripts/bank.py")
+    return (path / MANIFEST).read_bytes()
+
+
+def _read_once(path: Path, manifest_bytes: bytes, verify: bool) -> BankFiles:
+    manifest = _parse_manifest(path / MANIFEST, manifest_bytes)
+    try:
+        checksums = {name: str(manifest["files"][name]["sha256"]) for name in (SCORES, TRUTH)}
+        techniques = [(str(t["name"]), float(t["seconds"])) for t in manifest["techniques"]]
+        shape = (len(techniques), int(manifest["queries"]), int(manifest["references"]))
+        files = BankFiles(
+            path=path,
+            scores=_map_scores(path / SCORES, shape),
+            truth=_read_truth(path / TRUTH, checksums[TRUTH], shape),
+            techniques=techniques,
+            tolerance=whole_number(manifest["tolerance"], "tolerance", at_least=0),
+            name=str(manifest["name"]),
+            source=str(manifest["source"]),
+            costs=str(manifest["costs"]),
+            fingerprint=str(manifest["sha256"]),
+        )
+    except (KeyError, TypeError) as error:
+        raise ValueError(
+            f"{path / MANIFEST} lacks an entry or has one of another kind ({error}); {_REBUILD}"
+        ) from None
+    if verify:
+        _compare(path / SCORES, checksums[SCORES])
+    return files
+
+
+def _parse_manifest(path: Path, content: bytes) -> dict[str, Any]:
+    try:
+        parsed = json.loads(content.decode("utf-8"))
+    except (ValueError, RecursionError):
+        what = "is not whole JSON" if content.strip() else "is empty"
+        raise ValueError(f"{path} {what}; {_REBUILD}") from None
+    manifest: dict[str, Any] = parsed if isinstance(parsed, dict) else {}
+    version = manifest.get("format_version")
+    if not isinstance(version, int) or version < 1:
+        raise ValueError(f"{path} names no format version; {_REBUILD}")
+    if version > FORMAT_VERSION:
+        raise ValueError(
+            f"bank {path.parent} has format version {version}; it needs an amusic-gym that reads "
+            f"version {version} (this one reads up to {FORMAT_VERSION}): upgrade amusic-gym"
+        )
+    if manifest.get("sha256") != _checksum(manifest):
+        raise ValueError(f"{path} was damaged or edited: its checksum differs; {_REBUILD}")
+    return manifest
+
+
+def _checksum(manifest: dict[str, Any]) -> str:
+    rest = {key: value for key, value in manifest.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+
+
+def _write_scores(path: Path, scores: Sequence[NDArray[np.float32]]) -> None:
+    header = {
+        "descr": np.lib.format.dtype_to_descr(np.dtype("<f4")),
+        "fortran_order": False,
+        "shape": (len(scores), *scores[0].shape),
+    }
+    with path.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, header)
+        for matrix in scores:
+            file.write(np.ascontiguousarray(matrix, "<f4").data.cast("B"))
+
+
+def _map_scores(path: Path, shape: tuple[int, int, int]) -> NDArray[np.float32]:
+    with storage.open_file(path) as file:
+        header = storage.read_npy_header(file, path)
+        if header.dtype != np.dtype("<f4") or header.fortran_order:
+            raise ValueError(
+                f"{path} holds {header.dtype} where float32 in C order is expected "
+                f"(pickled objects are never read); {_REBUILD}"
+            )
+        if header.shape != shape or 0 in shape:
+            raise ValueError(
+                f"{path} has shape {header.shape} where {MANIFEST} says {shape}; {_REBUILD}"
+            )
+        mapped = np.memmap(file, header.dtype, "r", header.offset, header.shape)
+    return mapped.view(np.ndarray)
+
+
+def _read_truth(path: Path, checksum: str, shape: tuple[int, int, int]) -> GroundTruth:
+    _compare(path, checksum)
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            truth = GroundTruth(arrays["indptr"], arrays["places"], arrays["references"].item())
+    except Exception as error:  # a damaged zip raises nearly anything
+        raise ValueError(f"{path} cannot be read ({error}); {_REBUILD}") from None
+    if (truth.queries, truth.references) != shape[1:]:
+        raise ValueError(
+            f"{path} is for {truth.queries} queries and {truth.references} references where "
+            f"{MANIFEST} says {shape[1:]}; {_REBUILD}"
+        )
+    return truth
+
+
+def _compare(path: Path, checksum: str) -> None:
+    if storage.sha256(path) != checksum:
+        raise ValueError(f"{path} is damaged: its checksum differs; {_REBUILD}")

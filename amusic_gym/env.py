@@ -1,0 +1,157 @@
+"""The single environment: one route, Gymnasium's ``Env``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+
+from amusic_gym.task import RENDER_MODES, Infos, Task, as_seed, first_of
+
+
+class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
+    """Choose, frame by frame, which place-recognition techniques are worth their compute.
+
+    ## Description
+    A robot drives along a mapped route. For every camera frame it may run any of T visual place
+    recognition techniques; each costs time and gives one similarity score per place of the map.
+    SIC corrects every technique that ran by the continuity of its matches, MuSIC trusts the most
+    consistent one (A-MuSIC, III-A and III-B). The agent decides what runs.
+
+    ## Action Space
+    `MultiBinary(T)`: bit t runs technique t on the *next* frame. Values are checked, not the
+    dtype: 1, 1.0 and True are the same. With `reselection=M` there is one more bit, last:
+    "re-select". It runs, before the frame is processed, every technique on those of the last M
+    frames (as many as there are) that it missed, and replaces the other bits by the selection of
+    A-MuSIC (III-C1). On the first frame there is nothing to select from, and the other bits hold.
+
+    An all-zero action runs the cheapest technique, and `info["fallback"]` says so. With
+    `allow_idle=True` nothing runs: the prediction moves on by one place, p̂ and confidence decay.
+
+    ## Observation Space
+    A flat float32 `Box` in [−1, 1]: T equal groups, one per technique, then the route's group.
+    *squash* is asinh(x)/8, clipped to [−1, 1]. Running means weigh the newest value by 0.2.
+
+    | per technique | meaning |
+    |---|---|
+    | present | 1; all entries of an empty slot are 0 |
+    | ran | 1 if it ran on this frame |
+    | statistic | squash of its SIC statistic at its last run |
+    | margin | squash of that over its best rival beyond the tolerance |
+    | correction | squash of its last correction |
+    | agrees | 1 if its last match, moved along its diagonal, is the fused prediction (± tolerance) |
+    | agreement | running mean of agrees over its runs |
+    | support | squash of the z-score that its last row gives to the fused prediction |
+    | support_mean | squash of the running mean of support |
+    | stored | squash of the statistic that the fused diagonal had at its last run |
+    | age | squash of the frames since its last run; 1 before the first |
+    | chosen | 1 if MuSIC trusts it on this frame |
+    | cost_share | seconds / Σ seconds |
+    | cost_log | 1 + log10(cost_share) / 4, at least −1 |
+    | price | squash of λ · cost_share |
+
+    | route | meaning |
+    |---|---|
+    | compute_weight | λ on a logarithmic scale, 0.01 → −1, 10 → 1, clipped |
+    | has_prediction | 1 once there is a prediction |
+    | statistic | squash of the fused winner's statistic (the confidence) |
+    | margin | squash of that over the best rival of any technique that ran |
+    | p_correct | p̂ |
+    | p_correct_mean | running mean of p̂ |
+    | continues | 1 if the prediction moved on by exactly one place |
+    | since_doubt | squash of the frames since p̂ was below 0.5 |
+    | elapsed | squash of the frames so far |
+    | compute | squash of this step's seconds / Σ seconds |
+    | compute_mean | squash of its running mean |
+    | agreeing | share of the techniques whose diagonal is the fused one |
+
+    ## Rewards
+    p̂ − λ · (seconds run in this step / Σ seconds), from declared seconds; the terms are in
+    `info["reward_terms"]`. p̂ is SIC-estimated correctness: no ground truth is needed.
+
+    ## Starting State
+    Nothing has run, the prediction is −1, the history is empty.
+
+    ## Episode End
+    One step per frame. The route's end terminates; `episode_length` truncates.
+
+    ## Information
+    The same keys and shapes at every step, zeros where a technique did not run (`ran` is the
+    mask): `frame`, `route` (number of the bank), `prediction`, `confidence`, `p_correct`,
+    `margin`, `technique` (trusted by MuSIC, −1: none), `ran`, `place`, `statistic`, `correction`,
+    `present`, `run_seconds`, `seconds`, `fallback`, `idle`, `compute_weight`, `reward_terms` and,
+    with `reselection`, `selection` (`happened`, `tally`, `selected`, `corrections` (T, M),
+    `late_runs`). Never ground truth.
+
+    ## Arguments
+    See :class:`amusic_gym.task.Task`; `reset` takes the options `bank`, `start` and
+    `compute_weight`.
+
+    ```python
+    >>> import gymnasium as gym
+    >>> env = gym.make("amusic_gym:amusic_gym/TechniqueSelection-v0", compute_weight=0.5)
+    >>> observation, info = env.reset(seed=1)
+    >>> observation, reward, terminated, truncated, info = env.step([1, 0, 0, 0])
+    >>> info["ran"].tolist()
+    [True, False, False, False]
+
+    ```
+
+    ## Version History
+    * v0: may change until release 1.0.0.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES)}  # type: ignore[misc]
+
+    def __init__(self, bank: Any = None, **arguments: Any) -> None:
+        self.task = Task(1, bank, **arguments)
+        self.render_mode = arguments.get("render_mode")
+        self.observation_space = self.task.observation_space
+        self.action_space = self.task.action_space
+        self._running = False
+        self._everyone = np.ones(1, np.bool_)
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], Infos]:
+        """Begin an episode; nothing runs yet.
+
+        Args:
+            seed: whole number that fixes this and all later episodes.
+            options: any of ``bank``, ``start`` and ``compute_weight``.
+        """
+        super().reset(seed=as_seed(seed))
+        self.task.begin(0, self.np_random, options)
+        self._running = True
+        out = self.task.episodes.look()
+        return out.observation[0], first_of(self.task.infos(out))
+
+    def step(
+        self, action: Any
+    ) -> tuple[NDArray[np.float32], float, bool, bool, Infos]:
+        """Run the chosen techniques on the next frame.
+
+        Raises:
+            ResetNeeded: before the first reset and after an episode's end.
+            ValueError: for an action outside the action space.
+        """
+        if not self._running:
+            raise ResetNeeded("no episode is running; call reset() first, and after every end")
+        actions = self.task.check_actions(action, ())
+        out, rewards, terminated, truncated, infos = self.task.step(self._everyone, actions)
+        self._running = not (terminated[0] or truncated[0])
+        return (
+            out.observation[0],
+            float(rewards[0]),
+            bool(terminated[0]),
+            bool(truncated[0]),
+            first_of(infos),
+        )
+
+    def render(self) -> str | None:  # type: ignore[override]
+        """One line on the last frame with ``render_mode="ansi"``."""
+        return self.task.describe(0) if self.render_mode == "ansi" else None

@@ -1,0 +1,270 @@
+"""Episodes: the batch of routes that the single and the vector environment share.
+
+:class:`Episodes` owns the arrays, begins routes and steps them; the arithmetic is in
+:mod:`amusic_gym.dynamics`. The single environment is a batch of one.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.bank import ScoreBank
+from amusic_gym.calibration import coefficients
+from amusic_gym.dynamics import (
+    RESULT,
+    ROUTE,
+    SLOT,
+    SLOT_RESULT,
+    Outcome,
+    Rules,
+    State,
+    step_routes,
+)
+from amusic_gym.observation import observation_size
+from amusic_gym.settings import BLOCK, COVERAGE, SICSettings
+from amusic_gym.sic import RUN, SLACK, SUMS
+
+
+@dataclass(frozen=True)
+class Route:
+    """What one episode runs on.
+
+    Attributes:
+        bank: where the score rows come from.
+        start: the bank's query that is frame 0.
+        frames: length of the route.
+        columns: (S,) technique of the bank in each slot, −1 for an empty slot.
+        compute_weight: λ of the episode's reward.
+        index: the bank's number in the environment's list.
+    """
+
+    bank: ScoreBank
+    start: int
+    frames: int
+    columns: NDArray[np.int64]
+    compute_weight: float
+    index: int
+
+
+class Episodes:
+    """A batch of N routes with S technique slots each.
+
+    Args:
+        num_routes: N.
+        slots: S.
+        settings: statistic, K, F and γ of SIC.
+        reselection: M, or 0 for actions without a re-select bit.
+        coverage: E, share of MuSIC's choices that a selection covers.
+        allow_idle: whether an empty action runs nothing, instead of the cheapest technique.
+    """
+
+    def __init__(
+        self,
+        num_routes: int,
+        slots: int,
+        settings: SICSettings,
+        *,
+        reselection: int = BLOCK,
+        coverage: float = COVERAGE,
+        allow_idle: bool = False,
+    ) -> None:
+        self.num_routes = num_routes
+        self.slots = slots
+        self.settings = settings
+        self.routes: list[Route | None] = [None] * num_routes
+        self.rules = Rules(
+            history=settings.history,
+            gamma=float(settings.gamma),
+            evidence=settings.statistic == "evidence",
+            block=reselection,
+            coverage=coverage,
+            allow_idle=allow_idle,
+            calibration=coefficients(settings.statistic),
+        )
+        self.state = self._allocate(references=1, queries=1, candidates=1)
+
+    def _allocate(self, references: int, queries: int, candidates: int) -> State:
+        n, s = self.num_routes, self.slots
+        sets = 2 if self.rules.block else 1
+        return State(
+            routes=np.zeros(n, ROUTE),
+            slots=np.zeros((n, s), SLOT),
+            runs=np.zeros((n, s), RUN),
+            marks=np.zeros((2, n, s), SUMS),
+            sums=np.zeros((sets, n, s, references + SLACK)),
+            ran=np.zeros((n, s, queries), np.uint8),
+            weights=np.zeros((n, s, queries + 1)),
+            squares=np.zeros((n, s, queries + 1)),
+            values=np.zeros((s, candidates)),
+        )
+
+    def _make_room(self, route: Route) -> None:
+        """Grow the arrays to hold ``route``, keeping the other routes' memory."""
+        old = self.state
+        references = max(route.bank.references, old.sums.shape[-1] - SLACK)
+        queries = max(route.frames, old.ran.shape[-1])
+        candidates = max(min(self.settings.candidates, references), old.values.shape[-1])
+        if (references, queries, candidates) == (
+            old.sums.shape[-1] - SLACK,
+            old.ran.shape[-1],
+            old.values.shape[-1],
+        ):
+            return
+        new = self._allocate(references, queries, candidates)
+        for name in ("routes", "slots", "runs", "marks", "sums", "ran", "weights", "squares"):
+            kept = getattr(old, name)
+            getattr(new, name)[tuple(slice(0, size) for size in kept.shape)] = kept
+        self.state = new
+
+    def begin(self, i: int, route: Route) -> None:
+        """Start ``route`` as number ``i`` of the batch; nothing has run on it yet."""
+        self._make_room(route)
+        self.routes[i] = route
+        state, bank = self.state, route.bank
+        for array in (state.sums[:, i], state.ran[i], state.weights[i], state.squares[i]):
+            array.fill(0)
+        record = state.routes[i : i + 1]
+        record[:] = np.zeros(1, ROUTE)
+        record["frame"] = -1
+        record["frames"] = route.frames
+        record["references"] = bank.references
+        record["tolerance"] = bank.tolerance
+        record["compute_weight"] = route.compute_weight
+        record["prediction"] = -1
+        present = route.columns >= 0
+        record["total_seconds"] = bank.seconds[route.columns[present]].sum()
+        slots = state.slots[i]
+        slots[:] = np.zeros(self.slots, SLOT)
+        slots["present"] = present
+        slots["last_run"] = -1
+        slots["seconds"][present] = bank.seconds[route.columns[present]]
+        marks = state.marks[:, i]
+        marks["last"] = -1
+        marks["expired"] = 0
+        marks["origin"] = state.sums.shape[-1] - bank.references
+        self._point(i)
+
+    def _point(self, i: int) -> None:
+        """Write the addresses of a route's rows."""
+        route = self.routes[i]
+        if route is None:
+            return
+        bank, runs = route.bank, self.state.runs[i]
+        prepared = bank.prepared(self.settings.candidates)
+        runs["start"] = route.start
+        runs["references"] = bank.references
+        runs["candidates"] = prepared.candidates
+        for s, t in enumerate(route.columns):
+            if t < 0:
+                continue
+            runs["scores"][s] = bank.stored[bank.index[t]].ctypes.data
+            for field in ("mean", "scale", "top", "ready"):
+                runs[field][s] = getattr(prepared, field)[t].ctypes.data
+
+    def step(self, active: NDArray[np.bool_], actions: NDArray[np.bool_]) -> Outcome:
+        """Process the next frame of the active routes; the others are shown as they are.
+
+        Args:
+            active: (N,) routes to step.
+            actions: (N, S), or (N, S + 1) with the re-select bit last.
+
+        Raises:
+            ValueError: for a row with NaN or infinite scores, naming technique and frame.
+        """
+        out = self._outcome()
+        step_routes(self.state, self.rules, active, actions, out)
+        bad = out.routes["bad_row"]
+        if bad.any():
+            raise ValueError(self._bad_row(bad))
+        return out
+
+    def look(self) -> Outcome:
+        """Show every route as it is, without a step."""
+        nobody = np.zeros(self.num_routes, np.bool_)
+        return self.step(nobody, np.zeros((self.num_routes, self.action_size), np.bool_))
+
+    @property
+    def action_size(self) -> int:
+        """S, and one more for the re-select bit."""
+        return self.slots + (self.rules.block > 0)
+
+    def _bad_row(self, bad: NDArray[np.int64]) -> str:
+        i = int(np.flatnonzero(bad)[0])
+        route = self.routes[i]
+        assert route is not None
+        slot, frame = divmod(int(bad[i]) - 1, route.frames)
+        technique = route.bank.techniques[route.columns[slot]]
+        return (
+            f"score bank {route.bank.name!r}: NaN or infinite score of technique {technique!r} at"
+            f" frame {route.start + frame}; mend the scores and write the bank again"
+        )
+
+    def _outcome(self) -> Outcome:
+        n, s = self.num_routes, self.slots
+        return Outcome(
+            routes=np.zeros(n, RESULT),
+            slots=np.zeros((n, s), SLOT_RESULT),
+            corrections=np.zeros((n, s, self.rules.block)),
+            observation=np.zeros((n, observation_size(s)), np.float32),
+        )
+
+    def finished(self) -> NDArray[np.bool_]:
+        """(N,) whether each route's last frame has been processed."""
+        routes = self.state.routes
+        ended: NDArray[np.bool_] = routes["frame"] + 1 >= routes["frames"]
+        return ended
+
+    def frames_seen(self) -> NDArray[np.int64]:
+        """(N,) frames processed since each route began."""
+        seen: NDArray[np.int64] = self.state.routes["frame"] + 1
+        return seen
+
+    def __getstate__(self) -> dict[str, Any]:
+        return dict(self.__dict__)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore a copy and write the addresses of its own banks' rows."""
+        self.__dict__.update(state)
+        for i in range(self.num_routes):
+            self._point(i)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Episodes:
+        twin = type(self).__new__(type(self))
+        memo[id(self)] = twin
+        twin.__setstate__({k: copy.deepcopy(v, memo) for k, v in self.__dict__.items()})
+        return twin
+
+
+def columns_for(bank: ScoreBank, techniques: Sequence[str] | None, slots: int) -> NDArray[np.int64]:
+    """Technique of ``bank`` for each slot: aligned by name, or the bank's own order.
+
+    Args:
+        bank: the bank.
+        techniques: names of the slots; None: the bank's techniques fill the first slots.
+        slots: S.
+
+    Raises:
+        ValueError: if the bank's names are not those, or there are more than S.
+    """
+    if techniques is None:
+        if len(bank.techniques) > slots:
+            raise ValueError(
+                f"bank {bank.name!r} has {len(bank.techniques)} techniques for {slots} slots;"
+                f" give slots={len(bank.techniques)} or more"
+            )
+        columns = np.full(slots, -1, np.int64)
+        columns[: len(bank.techniques)] = np.arange(len(bank.techniques))
+        return columns
+    if sorted(bank.techniques) != sorted(techniques):
+        raise ValueError(
+            f"bank {bank.name!r} has the techniques {', '.join(bank.techniques)}, the first bank"
+            f" {', '.join(techniques)}; give banks of the same techniques, or slots=S for any"
+        )
+    return np.array([bank.techniques.index(name) for name in techniques], np.int64)
+

@@ -1,0 +1,226 @@
+"""Score banks from what others have: score matrices, and VPR-Bench's precomputed matches."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym import storage
+from amusic_gym.bank import ScoreBank, check_names
+from amusic_gym.ground_truth import GroundTruth
+from amusic_gym.names import suggest
+
+VPRBENCH_MATCHES = "precomputed_data_corrected.npy"
+"""The file that VPR-Bench keeps in each technique's folder."""
+
+_Path = str | os.PathLike[str]
+
+
+def from_arrays(
+    files: Mapping[str, _Path],
+    seconds: Mapping[str, float],
+    *,
+    tolerance: int | None = None,
+    ground_truth: _Path | NDArray[Any] | GroundTruth | None = None,
+    name: str = "",
+    source: str = "",
+) -> ScoreBank:
+    """A bank from one .npy file of scores per technique.
+
+    Args:
+        files: technique name -> .npy file, (Q, R) numbers, higher = more similar.
+        seconds: technique name -> seconds of one run on one frame.
+        tolerance: see `ScoreBank`.
+        ground_truth: as for `ScoreBank`, or the .npy file that holds it.
+        name: what to call the bank in tables.
+        source: where the scores come from; by default, the files' names.
+
+    Raises:
+        FileNotFoundError: when a file is missing.
+        ValueError: for a file that holds no such matrix, or seconds for other techniques.
+    """
+    names = check_names(list(files))
+    matrices = [_score_matrix(storage.read_array(path), path) for path in files.values()]
+    _check_same_shape(names, matrices)
+    if isinstance(ground_truth, str | os.PathLike):
+        ground_truth = storage.read_array(ground_truth)
+    return ScoreBank(
+        np.stack(matrices),
+        names,
+        _seconds_in_order(names, seconds),
+        tolerance=tolerance,
+        ground_truth=ground_truth,
+        name=name,
+        source=source or "arrays: " + ", ".join(Path(path).name for path in files.values()),
+    )
+
+
+def from_vprbench(
+    directory: _Path,
+    techniques: Sequence[str],
+    ground_truth: _Path | NDArray[Any] | GroundTruth,
+    trust: bool = False,
+    *,
+    tolerance: int | None = None,
+    name: str = "",
+    source: str = "",
+) -> ScoreBank:
+    """A bank from VPR-Bench's precomputed matches.
+
+    VPR-Bench stores pickled Python objects, and reading a pickle runs whatever its author put
+    into it: hence ``trust``. A technique's seconds are its seconds to encode a frame plus R times
+    its seconds to match it with one reference.
+
+    Args:
+        directory: the folder with one folder per technique (VPR-Bench's ``precomputed_matches``,
+            or the data set's folder that holds it).
+        techniques: which of them, in the bank's order.
+        ground_truth: VPR-Bench's ground truth file (query id, list of true places), or any form
+            that `from_arrays` takes.
+        trust: True to unpickle these files.
+        tolerance: see `ScoreBank`.
+        name: what to call the bank in tables.
+        source: where the scores come from; by default, VPR-Bench and the folder's name.
+
+    Raises:
+        FileNotFoundError: when the folder or a file is missing.
+        ValueError: without ``trust``; for an unknown technique; for a file of another layout.
+    """
+    folder = _matches_folder(Path(directory))
+    names = check_names(techniques)
+    available = sorted(entry.parent.name for entry in folder.glob(f"*/{VPRBENCH_MATCHES}"))
+    for technique in names:
+        if technique not in available:
+            raise ValueError(suggest("technique", technique, available))
+    matches = [_read_matches(folder / technique / VPRBENCH_MATCHES, trust) for technique in names]
+    _check_same_shape(names, [scores for scores, _ in matches])
+    queries, references = matches[0][0].shape
+    if isinstance(ground_truth, str | os.PathLike):
+        ground_truth = _read_ground_truth(Path(ground_truth), trust, queries, references)
+    return ScoreBank(
+        np.stack([scores for scores, _ in matches]),
+        names,
+        [seconds for _, seconds in matches],
+        tolerance=tolerance,
+        ground_truth=ground_truth,
+        name=name,
+        source=source or f"VPR-Bench: {folder.resolve().parent.name}",
+    )
+
+
+def _score_matrix(array: NDArray[Any], path: _Path) -> NDArray[np.float32]:
+    if array.ndim != 2 or array.size == 0 or array.dtype.kind not in "fiub":
+        raise ValueError(
+            f"{path} has shape {array.shape} and dtype {array.dtype}; give a matrix "
+            "[query, reference] of numbers with at least one of each"
+        )
+    with np.errstate(over="ignore"):  # too large for float32 becomes infinite: the bank refuses
+        return array.astype(np.float32)
+
+
+def _check_same_shape(names: Sequence[str], matrices: Sequence[NDArray[Any]]) -> None:
+    for name, matrix in zip(names, matrices, strict=True):
+        if matrix.shape != matrices[0].shape:
+            raise ValueError(
+                f"scores of technique {name!r} have shape {matrix.shape}, those of {names[0]!r} "
+                f"{matrices[0].shape}; all need the same queries and references"
+            )
+
+
+def _seconds_in_order(names: Sequence[str], seconds: Mapping[str, float]) -> list[float]:
+    for name in seconds:
+        if name not in names:
+            raise ValueError("seconds: " + suggest("technique", name, names))
+    for name in names:
+        if name not in seconds:
+            raise ValueError(f"no seconds for technique {name!r}; give the seconds of one run")
+    return [seconds[name] for name in names]
+
+
+def _matches_folder(directory: Path) -> Path:
+    if not directory.is_dir():
+        what = "is not a folder" if directory.exists() else "does not exist"
+        raise FileNotFoundError(f"{directory} {what}; give the folder of VPR-Bench's matches")
+    inner = directory / "precomputed_matches"
+    folder = inner if inner.is_dir() else directory
+    if not any(folder.glob(f"*/{VPRBENCH_MATCHES}")):
+        raise FileNotFoundError(
+            f"{directory} holds no TECHNIQUE/{VPRBENCH_MATCHES}; give the folder of VPR-Bench's "
+            "matches"
+        )
+    return folder
+
+
+def _unpickle(path: Path, trust: bool) -> NDArray[Any]:
+    """The object array of a VPR-Bench file; executes what the pickle says."""
+    with storage.open_file(path) as file:
+        storage.read_npy_header(file, path)  # no bare pickle: only what VPR-Bench writes
+        if not trust:
+            raise ValueError(
+                f"{path} holds pickled Python objects, which can run code when read; if you "
+                "trust who made it, pass trust=True (--trust)"
+            )
+        file.seek(0)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # NumPy on pickles of Python 2
+                array: NDArray[Any] = np.load(file, allow_pickle=True, encoding="latin1")
+        except Exception as error:  # a damaged pickle raises nearly anything
+            raise ValueError(
+                f"{path} cannot be unpickled ({type(error).__name__}: {error}); copy it again"
+            ) from None
+    return array
+
+
+def _read_matches(path: Path, trust: bool) -> tuple[NDArray[np.float32], float]:
+    """Scores (Q, R) in the order of the query ids, and seconds of one run."""
+    items = _unpickle(path, trust)
+    try:
+        ids = np.asarray(items[0], dtype=np.int64)
+        scores = _score_matrix(np.asarray(list(items[3]), dtype=np.float64), path)
+        encode, match = (float(np.mean(np.asarray(items[at], np.float64))) for at in (4, 5))
+    except (IndexError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{path} is not laid out as VPR-Bench's matches are (query ids, best reference, best "
+            f"score, score rows, encode seconds, match seconds): {error}"
+        ) from None
+    return scores[_order_of(ids, len(scores), path)], encode + scores.shape[1] * match
+
+
+def _read_ground_truth(
+    path: Path, trust: bool, queries: int, references: int
+) -> NDArray[Any] | GroundTruth:
+    with storage.open_file(path) as file:
+        pickled = storage.read_npy_header(file, path).dtype.hasobject
+    if not pickled:
+        return storage.read_array(path)
+    rows = _unpickle(path, trust)
+    try:
+        ids = np.asarray([row[0] for row in rows], dtype=np.int64)
+        places = [np.unique(np.asarray(row[1], dtype=np.int64)) for row in rows]
+    except (IndexError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{path} is not laid out as VPR-Bench's ground truth is (query id, list of true "
+            f"places): {error}"
+        ) from None
+    order = _order_of(ids, queries, path)
+    counts = [len(places[row]) for row in order]
+    indptr = np.concatenate([[0], np.cumsum(counts)])
+    return GroundTruth(indptr, np.concatenate([places[row] for row in order]), references)
+
+
+def _order_of(ids: NDArray[np.int64], queries: int, path: Path) -> NDArray[np.int64]:
+    """Rows by rising query id: SIC needs the frames in the order of the traverse."""
+    if ids.shape != (queries,) or len(np.unique(ids)) != queries:
+        raise ValueError(
+            f"{path} has query ids of shape {ids.shape} with {len(np.unique(ids))} different "
+            f"ones where {queries} are expected; it is damaged or of another data set"
+        )
+    order: NDArray[np.int64] = np.argsort(ids)
+    return order

@@ -1,0 +1,129 @@
+"""The observation: what a robot would know, one group per technique and one for the route.
+
+The names below are the layout; :func:`observe` writes them in this order, and the environment's
+docstring explains each.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from amusic_gym._compile import inner
+from amusic_gym.settings import COMPUTE_WEIGHT_RANGE
+
+VERSION = 1
+"""Rises whenever the meaning or the order of an entry changes; trained runs store it."""
+
+TECHNIQUE_FEATURES = (
+    "present",
+    "ran",
+    "statistic",
+    "margin",
+    "correction",
+    "agrees",
+    "agreement",
+    "support",
+    "support_mean",
+    "stored",
+    "age",
+    "chosen",
+    "cost_share",
+    "cost_log",
+    "price",
+)
+ROUTE_FEATURES = (
+    "compute_weight",
+    "has_prediction",
+    "statistic",
+    "margin",
+    "p_correct",
+    "p_correct_mean",
+    "continues",
+    "since_doubt",
+    "elapsed",
+    "compute",
+    "compute_mean",
+    "agreeing",
+)
+
+SQUASH_SCALE = 1.0 / 8.0
+SMOOTHING = 0.2
+"""Weight of the newest value in every running mean of the observation."""
+
+_LOG_LOW = math.log10(COMPUTE_WEIGHT_RANGE[0])
+_LOG_SPAN = math.log10(COMPUTE_WEIGHT_RANGE[1]) - _LOG_LOW
+
+
+def observation_size(slots: int) -> int:
+    """Length of the flat observation for a number of technique slots."""
+    return slots * len(TECHNIQUE_FEATURES) + len(ROUTE_FEATURES)
+
+
+@inner
+def squash(value: float) -> float:
+    """Map any number to [−1, 1]: asinh(value) / 8, clipped (at |value| ≈ 1490)."""
+    return min(max(math.asinh(value) * SQUASH_SCALE, -1.0), 1.0)
+
+
+@inner
+def observe_technique(slot: Any, route: Any, out: Any) -> None:
+    """Write one technique's group to ``out``."""
+    share = slot.seconds / route.total_seconds
+    out[0] = 1.0
+    out[1] = slot.ran
+    out[2] = squash(slot.statistic)
+    out[3] = squash(slot.margin)
+    out[4] = squash(slot.correction)
+    out[5] = slot.agrees
+    out[6] = slot.agreement
+    out[7] = squash(slot.support)
+    out[8] = squash(slot.support_mean)
+    out[9] = squash(slot.stored)
+    out[10] = squash(route.frame - slot.last_run) if slot.last_run >= 0 else 1.0
+    out[11] = slot.chosen
+    out[12] = share
+    out[13] = max(1.0 + math.log10(share) / 4.0, -1.0)
+    out[14] = squash(route.compute_weight * share)
+
+
+@inner
+def observe_route(route: Any, out: Any) -> None:
+    """Write the route's group to ``out``."""
+    weight = (math.log10(max(route.compute_weight, 1e-9)) - _LOG_LOW) / _LOG_SPAN
+    out[0] = min(max(2.0 * weight - 1.0, -1.0), 1.0)
+    out[1] = 1.0 if route.prediction >= 0 else 0.0
+    out[2] = squash(route.confidence)
+    out[3] = squash(route.margin)
+    out[4] = route.p_correct
+    out[5] = route.p_correct_mean
+    out[6] = route.continues
+    out[7] = squash(route.since_doubt)
+    out[8] = squash(route.frame + 1)
+    out[9] = squash(route.compute)
+    out[10] = squash(route.compute_mean)
+    out[11] = route.agreeing
+
+
+@inner
+def observe(route: Any, slots: Any, out: Any) -> None:
+    """Write the observation of one route to ``out`` (D,), float32; absent slots are zero."""
+    width = len(TECHNIQUE_FEATURES)
+    for s in range(slots.size):
+        if slots[s].present:
+            observe_technique(slots[s], route, out[s * width : (s + 1) * width])
+    observe_route(route, out[slots.size * width :])
+
+
+def observation_names(techniques: tuple[str, ...]) -> list[str]:
+    """Name of every entry of the observation, in order."""
+    names = [f"{t}.{feature}" for t in techniques for feature in TECHNIQUE_FEATURES]
+    return names + [f"route.{feature}" for feature in ROUTE_FEATURES]
+
+
+def bounds(slots: int) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """Lower and upper bounds (D,) float32 of the observation."""
+    size = observation_size(slots)
+    return np.full(size, -1.0, np.float32), np.full(size, 1.0, np.float32)

@@ -1,0 +1,130 @@
+"""From what a robot meets on its way to the scores of one technique, by way of descriptors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.routes.world import World
+
+Floats = NDArray[np.float32]
+
+MIN_BEND = 0.02  # below it a bend is nothing but rounding errors
+MOST_LEAN = 2.0  # how much of a condition's shift goes along what all places have in common
+BLOCK = 64  # rows that `smooth` computes with one matrix product
+
+
+@dataclass(frozen=True)
+class Look:
+    """How one technique sees the world: one draw from the ranges of `Simulation`."""
+
+    dimensions: int  # of its descriptors; more make the true place stand out further
+    smoothness: float  # places over which descriptors stay alike (e-folding length)
+    grain: float  # share of a descriptor's variance that no other place has
+    aliasing: float  # how far repeated segments are the same, 0 not at all .. 1 identical
+    bland: float  # strength of hubs and voids, relative to a descriptor's length
+    base: float  # what all places have in common, relative to a descriptor's length
+    noise_memory: float  # frames over which the query's noise stays alike
+    noise_grain: float  # share of the noise's variance that is new in each frame
+    shift: float  # length of a condition's constant vector, relative to a descriptor's
+    bend: float  # > 0 stretches high scores, < 0 squeezes them, 0 leaves the cosine
+    offset: float  # raw score of an average match
+    scale: float  # raw score units per standard deviation
+
+
+def smooth(
+    rng: np.random.Generator, steps: int, dimensions: int, length: float, grain: float = 0.0
+) -> Floats:
+    """Stationary sequence (steps, dimensions) of unit variance: Ornstein-Uhlenbeck plus grain.
+
+    Steps d > 0 apart correlate by (1 - grain) * exp(-d / length). The recursion
+    y[i] = a y[i-1] + w[i] is done block by block with one matrix product, which leaves a Python
+    loop over blocks only.
+    """
+    decay = math.exp(-1.0 / length) if length > 0 else 0.0
+    blocks = -(-steps // BLOCK)
+    noise = rng.standard_normal((blocks * BLOCK, dimensions), dtype=np.float32)
+    age = np.arange(BLOCK)[:, None] - np.arange(BLOCK)  # (BLOCK, BLOCK)
+    weights = np.where(age >= 0, decay ** np.maximum(age, 0), 0.0)
+    weights *= math.sqrt(1.0 - decay * decay)
+    parts: Floats = weights.astype(np.float32) @ noise.reshape(blocks, BLOCK, dimensions)
+    parts[0] += (decay ** np.arange(BLOCK))[:, None].astype(np.float32) * (
+        (1.0 - math.sqrt(1.0 - decay * decay)) * noise[0]  # the first step has unit variance too
+    )
+    carry = (decay ** np.arange(1, BLOCK + 1)).astype(np.float32)[:, None]
+    for i in range(1, blocks):
+        parts[i] += carry * parts[i - 1, -1]
+    # Grain from the same draws, one dimension on, where they are independent: half the draws.
+    whole = parts.reshape(-1, dimensions)[:steps]
+    return _mix(whole, np.roll(noise[:steps], 1, axis=1), grain) if grain else whole
+
+
+def write_scores(
+    rng: np.random.Generator,
+    world: World,
+    look: Look,
+    competence: NDArray[np.float64],
+    out: Floats,
+) -> None:
+    """Scores of one technique: descriptors of map and query, cosine, bend, scale.
+
+    Args:
+        rng: the source of chance.
+        world: what all techniques share, on Q frames, R places and C conditions.
+        look: how this one sees it.
+        competence: (C,) in each condition, 0 useless .. 1 noiseless.
+        out: (Q, R) float32, written to.
+    """
+    queries, references = out.shape
+    size = look.dimensions
+    places = smooth(rng, references, size, look.smoothness, look.grain)
+    alias = np.where(world.source == np.arange(references), 0.0, look.aliasing)
+    places = _mix(places, places[world.source], np.square(alias)[:, None])
+    noise = smooth(rng, queries, size, look.noise_memory, look.noise_grain)
+    common = _unit(rng.standard_normal(size, dtype=np.float32)) * math.sqrt(size)
+    turn = rng.standard_normal((competence.size, size), dtype=np.float32)
+    lean = rng.uniform(0.0, MOST_LEAN, (competence.size, 1)).astype(np.float32)
+    shift = (look.shift * math.sqrt(size)) * _unit(turn + lean * common)  # (C, D)
+    level = competence[world.condition][:, None]  # (Q, 1)
+    seen = _mix(noise, _between(places, world.place), np.square(level))
+    seen += shift[world.condition]
+    places += (look.base + look.bland * world.bland)[:, None] * common
+    _compare(_unit(seen), _unit(places), look, out)
+
+
+def _compare(seen: Floats, places: Floats, look: Look, out: Floats) -> None:
+    """Cosines, bent and scaled into `out` (Q, R); monotone, so no ranking changes."""
+    gain = math.sqrt(look.dimensions)  # about one standard deviation of a random match
+    if abs(look.bend) < MIN_BEND:
+        np.matmul(seen * np.float32(look.scale * gain), places.T, out=out)
+        out += look.offset
+        return
+    np.matmul(seen * np.float32(look.bend * gain), places.T, out=out)
+    np.exp(out, out=out)  # (exp(bend x) - 1) / bend; NumPy's expm1 is seven times slower
+    out *= look.scale / look.bend
+    out += look.offset - look.scale / look.bend
+
+
+def _mix(first: Floats, second: Floats, share: float | NDArray[np.float64]) -> Floats:
+    """Variance-preserving mixture; `share` is the part of the variance the second one gets."""
+    kept = np.sqrt(1.0 - np.asarray(share)).astype(np.float32)
+    return np.asarray(kept * first + np.sqrt(np.asarray(share)).astype(np.float32) * second)
+
+
+def _between(places: Floats, position: NDArray[np.float64]) -> Floats:
+    """Descriptors (Q, D) at positions that may lie between two places (R, D)."""
+    low = position.astype(np.int64).clip(0, len(places) - 1)
+    part = (position - low).astype(np.float32)
+    start: Floats = places[low]
+    if not part.any():
+        return start
+    high = np.minimum(low + 1, len(places) - 1)
+    return np.asarray(start + part[:, None] * (places[high] - start))
+
+
+def _unit(vectors: Floats) -> Floats:
+    length = np.sqrt(np.square(vectors).sum(axis=-1, keepdims=True))
+    return np.asarray(vectors / np.maximum(length, 1e-12), np.float32)

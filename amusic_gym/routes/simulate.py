@@ -1,0 +1,363 @@
+"""Simulated routes: score banks drawn from a model of descriptors, without any image.
+
+Model, per technique. Every place of the map has a descriptor that changes smoothly along the
+route (an Ornstein-Uhlenbeck process plus some grain of its own), parts of the map repeat earlier
+parts (perceptual aliasing) and short spans are bland (hubs that attract queries, or voids that
+repel them). A query descriptor is
+
+    competence * place + sqrt(1 - competence ** 2) * noise + shift
+
+where the noise is correlated in time, and competence and shift (a constant vector, which moves
+whole rows and whole columns) belong to the condition the robot drives in: day, night, tunnel.
+A score is the cosine of the two, bent and scaled so that techniques have ranges of their own.
+`docs/simulation.md` compares the outcome with real recordings.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from string import ascii_uppercase
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.bank import ScoreBank
+from amusic_gym.names import suggest
+from amusic_gym.routes.descriptors import Look, write_scores
+from amusic_gym.routes.ranges import (
+    Range,
+    check_integer,
+    check_number,
+    check_range,
+    draw,
+    draw_integer,
+)
+from amusic_gym.routes.world import (
+    Ints,
+    World,
+    bland_places,
+    no_repeats,
+    repeated_places,
+    varied_drive,
+)
+
+Motion = Literal["steady", "varied"]
+MOTIONS: tuple[str, ...] = get_args(Motion)
+TECHNIQUE_NAMES = tuple(ascii_uppercase)  # so many techniques at most
+
+# Smallest and largest value that each range of `Simulation` may contain.
+LIMITS: dict[str, Range] = {
+    "queries": (1, 100_000),
+    "techniques": (1, len(TECHNIQUE_NAMES)),
+    "conditions": (1, 1000),
+    "regime_length": (1, math.inf),
+    "map_factor": (1, 1000),
+    "ability": (0, 1),
+    "weak": (0, 1),
+    "strong": (0, 1),
+    "seconds": (1e-9, 1e9),
+    "dimensions": (2, 4096),
+    "smoothness": (0, math.inf),
+    "grain": (0, 1),
+    "aliasing": (0, 1),
+    "bland": (0, 100),
+    "base": (0, 100),
+    "noise_memory": (0, math.inf),
+    "noise_grain": (0, 1),
+    "shift": (0, 100),
+    "bend": (-1, 1),
+    "offset": (-1e6, 1e6),
+    "scale": (1e-6, 1e6),
+}
+_SHARES = (
+    *("same_length", "ability_spread", "useless", "all_fail", "all_good", "exclusive"),
+    *("cost_follows_ability", "speed_change", "jump", "hubs"),
+)
+_INTEGERS = ("queries", "techniques", "conditions", "dimensions")
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Ranges from which routes are drawn; `(low, high)` is uniform and includes both ends.
+
+    The defaults bracket what is measured on real recordings. Bad values are refused with
+    ValueError when the object is made.
+    """
+
+    # The drive
+    queries: tuple[int, int] = (100, 400)  # frames
+    references: int | None = None  # places in the map; None: see the next two
+    map_factor: Range = (1.0, 2.0)  # places per frame ...
+    same_length: float = 0.5  # ... but on this share of the routes exactly as many as frames
+    motion: Motion = "steady"  # 'steady': one place per frame; 'varied': stops, speeds, jumps
+    speed_change: float = 0.03  # varied: chance per frame of a new speed out of SPEEDS
+    jump: float = 0.02  # varied: chance per frame of being carried to a random place
+    tolerance: int = 2  # places off that still count as true
+
+    # Who is good when
+    techniques: tuple[int, int] = (4, 4)
+    conditions: tuple[int, int] = (1, 5)  # different conditions on one route
+    regime_length: Range = (40.0, 150.0)  # mean frames between changes of the condition
+    ability: Range = (0.3, 0.95)  # a technique's competence in ordinary conditions
+    ability_spread: float = 0.15  # standard deviation of competence between conditions
+    useless: float = 0.2  # chance that a technique is weak in a condition
+    weak: Range = (0.0, 0.2)  # competence where it is weak
+    strong: Range = (0.8, 0.97)  # competence where it must be good
+    all_fail: float = 0.05  # chance that a condition makes all techniques weak
+    all_good: float = 0.1  # chance that a condition makes all techniques strong
+    exclusive: float = 0.15  # share of routes on which each condition has one good technique
+    seconds: Range = (0.02, 2.0)  # cost of one run, log-uniform
+    cost_follows_ability: float = 0.3  # correlation of the ranks of cost and mean competence
+
+    # What a route looks like
+    alias_density: float = 0.6  # repeated segments per 100 places
+    alias_length: tuple[int, int] = (8, 40)  # places
+    bland_density: float = 1.0  # hubs and voids per 100 places
+    bland_length: tuple[int, int] = (1, 12)  # places
+    hubs: float = 0.6  # share of the bland spans that attract instead of repel
+
+    # How techniques see it: ranges of `Look`
+    dimensions: tuple[int, int] = (12, 48)
+    smoothness: Range = (1.0, 14.0)
+    grain: Range = (0.0, 0.4)
+    aliasing: Range = (0.2, 0.95)
+    bland: Range = (0.0, 1.5)
+    base: Range = (0.3, 2.5)
+    noise_memory: Range = (2.0, 20.0)
+    noise_grain: Range = (0.0, 0.5)
+    shift: Range = (0.3, 1.5)
+    bend: Range = (-0.3, 0.45)
+    offset: Range = (0.1, 0.9)
+    scale: Range = (0.005, 0.07)
+
+    def __post_init__(self) -> None:
+        """Refuse what no route can be drawn from."""
+        for name, (least, most) in LIMITS.items():
+            check_range(name, getattr(self, name), least, most, name in _INTEGERS)
+        for name in ("alias_length", "bland_length"):
+            check_range(name, getattr(self, name), 1, 1_000_000, True)
+        for name in _SHARES:
+            check_number(name, getattr(self, name), 0.0, 1.0)
+        for name in ("alias_density", "bland_density"):
+            check_number(name, getattr(self, name), 0.0, 100.0)
+        check_integer("tolerance", self.tolerance, 0)
+        if self.motion not in MOTIONS:
+            raise ValueError(suggest("motion", self.motion, MOTIONS))
+        if self.references is None:
+            return
+        check_integer("references", self.references, 1)
+        if self.motion == "steady" and self.references < self.queries[1]:
+            raise ValueError(
+                f"references is {self.references}, but steady motion over {self.queries[1]} "
+                "queries needs at least as many places; raise it or use motion='varied'."
+            )
+
+    @property
+    def most_techniques(self) -> int:
+        """Largest number of techniques that a route may have."""
+        return self.techniques[1]
+
+    def route(self, rng: np.random.Generator, *, name: str = "simulated") -> ScoreBank:
+        """Draw one route: a bank of (T, Q, R) scores that depends on `rng` alone."""
+        queries = draw_integer(rng, self.queries)
+        techniques = draw_integer(rng, self.techniques)
+        references = self._map_length(rng, queries)
+        competence, condition = self._conditions(rng, techniques, queries)
+        world = World(
+            place=self._drive(rng, queries, references),
+            condition=condition,
+            competence=competence,
+            source=repeated_places(rng, references, self.alias_density, self.alias_length),
+            bland=bland_places(rng, references, self.bland_density, self.bland_length, self.hubs),
+        )
+        seconds = self._seconds(rng, competence[:, condition].mean(axis=1))
+        looks = [self._look(rng) for _ in range(techniques)]
+        return _bank(rng, world, looks, seconds, self.tolerance, name)
+
+    def _map_length(self, rng: np.random.Generator, queries: int) -> int:
+        same, factor = rng.random() < self.same_length, rng.uniform(*self.map_factor)
+        if self.references is not None:
+            return self.references
+        return queries if same else round(queries * factor)
+
+    def _drive(
+        self, rng: np.random.Generator, queries: int, references: int
+    ) -> NDArray[np.float64]:
+        """Position of each frame, in places."""
+        if self.motion == "steady":
+            start = rng.integers(references - queries + 1)
+            return start + np.arange(queries, dtype=np.float64)
+        return varied_drive(rng, queries, references, self.speed_change, self.jump)
+
+    def _conditions(
+        self, rng: np.random.Generator, techniques: int, queries: int
+    ) -> tuple[NDArray[np.float64], Ints]:
+        """Competence (T, C) per technique and condition, and the condition of each frame (Q,)."""
+        count = draw_integer(rng, self.conditions)
+        shape = (techniques, count)
+        ability = rng.uniform(*self.ability, (techniques, 1))
+        competence = np.clip(ability + self.ability_spread * rng.standard_normal(shape), 0.0, 0.98)
+        weak, strong = rng.uniform(*self.weak, shape), rng.uniform(*self.strong, shape)
+        competence = np.where(rng.random(shape) < self.useless, weak, competence)
+        competence = np.where(rng.random(count) < self.all_good, strong, competence)
+        competence = np.where(rng.random(count) < self.all_fail, weak, competence)
+        good = rng.permutation(techniques)[np.arange(count) % techniques]
+        if rng.random() < self.exclusive:
+            competence = np.where(np.arange(techniques)[:, None] == good, strong, weak)
+        changes = rng.random(queries) < 1.0 / rng.uniform(*self.regime_length)
+        regime = np.cumsum(changes)  # (Q,)
+        return competence, no_repeats(rng, int(regime[-1]) + 1, count)[regime]
+
+    def _seconds(
+        self, rng: np.random.Generator, ability: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Log-uniform costs (T,), dealt out by the rank of a noisy reading of the ability."""
+        low, high = np.log(self.seconds)
+        costs = np.sort(np.exp(rng.uniform(low, high, ability.size)))
+        noise = rng.standard_normal(ability.size)
+        standard = (ability - ability.mean()) / max(float(ability.std()), 1e-9)
+        follow = self.cost_follows_ability
+        key = follow * standard + math.sqrt(1.0 - follow**2) * noise
+        return np.asarray(costs[np.argsort(np.argsort(key))], dtype=np.float64)
+
+    def _look(self, rng: np.random.Generator) -> Look:
+        values: dict[str, float] = {}
+        for field in fields(Look):
+            pick = draw_integer if field.name in _INTEGERS else draw
+            values[field.name] = pick(rng, getattr(self, field.name))
+        return Look(**values)  # type: ignore[arg-type]  # `dimensions` is drawn as int
+
+
+def simulate(
+    seed: int,
+    *,
+    queries: int = 300,
+    references: int | None = None,
+    techniques: int = 4,
+    motion: Motion = "steady",
+    simulation: Simulation | None = None,
+) -> ScoreBank:
+    """One simulated route of the given size, the same for the same arguments.
+
+    Args:
+        seed: non-negative integer.
+        queries: frames Q.
+        references: places R; None draws between Q and 2 Q (and often Q itself).
+        techniques: T, at most 26; they are called A, B, C, ...
+        motion: 'steady' (the true place advances by one per frame) or 'varied'.
+        simulation: the ranges everything else is drawn from; None: the defaults.
+
+    Raises:
+        ValueError: an argument is out of range; the sentence says which.
+    """
+    frames = check_integer("queries", queries, 1, LIMITS["queries"][1])
+    count = check_integer("techniques", techniques, 1, len(TECHNIQUE_NAMES))
+    ranges = replace(
+        simulation or Simulation(),
+        queries=(frames, frames),
+        references=references,
+        techniques=(count, count),
+        motion=motion,
+    )
+    return ranges.route(generator(seed), name=f"simulated-{seed}")
+
+
+def planted(
+    seed: int,
+    *,
+    regimes: int | None = None,
+    frames_per_regime: int = 100,
+    techniques: int = 4,
+    references: int = 1000,
+    jumps: bool = False,
+) -> ScoreBank:
+    """A route on which exactly one technique is good at a time, and never the same twice running.
+
+    All others see noise, so no fixed subset of few techniques is good on the whole route. The
+    costs are nearly equal, so none is cheap either.
+
+    Args:
+        seed: non-negative integer; also decides the order of the techniques.
+        regimes: stretches with one good technique each; None: as many as techniques. The first
+            `techniques` of them all have different good ones.
+        frames_per_regime: their length in frames.
+        techniques: T, 2 to 26.
+        references: places R of the map, at least regimes * frames_per_regime.
+        jumps: the parts of the route are driven in reverse order (each of them forwards), so that
+            every regime starts with a jump; else one steady drive.
+
+    Raises:
+        ValueError: an argument is out of range; the sentence says which.
+    """
+    rng = generator(seed)
+    techniques = check_integer("techniques", techniques, 2, len(TECHNIQUE_NAMES))
+    regimes = check_integer("regimes", techniques if regimes is None else regimes, 1)
+    length = check_integer("frames_per_regime", frames_per_regime, 1)
+    frames = regimes * length
+    references = check_integer("references", references, 1)
+    if references < frames:
+        raise ValueError(
+            f"references is {references}, but {regimes} regimes of {length} frames drive past "
+            f"{frames} places; use at least {frames}."
+        )
+    order = no_repeats(rng, regimes, techniques)
+    start = rng.integers(references - frames + 1)
+    parts = np.arange(regimes)[:: -1 if jumps else 1]
+    world = World(
+        place=start + (parts[:, None] * length + np.arange(length)).ravel().astype(np.float64),
+        condition=np.repeat(order, length),
+        competence=0.95 * np.eye(techniques),
+        source=np.arange(references),
+        bland=np.zeros(references, np.float32),
+    )
+    looks = [_PLANTED] * techniques
+    seconds = rng.uniform(0.95, 1.05, techniques)
+    return _bank(rng, world, looks, seconds, 2, f"planted-{seed}")
+
+
+# Sharp and without memory: useless means useless, and the good technique is found in one frame.
+_PLANTED = Look(
+    dimensions=48,
+    smoothness=1.0,
+    grain=0.3,
+    aliasing=0.0,
+    bland=0.0,
+    base=0.5,
+    noise_memory=0.5,
+    noise_grain=0.5,
+    shift=0.3,
+    bend=0.0,
+    offset=0.5,
+    scale=0.05,
+)
+
+
+def generator(seed: int) -> np.random.Generator:
+    """The only source of chance here, from a non-negative integer."""
+    return np.random.default_rng(check_integer("seed", seed, 0))
+
+
+def _bank(
+    rng: np.random.Generator,
+    world: World,
+    looks: list[Look],
+    seconds: NDArray[np.float64],
+    tolerance: int,
+    name: str,
+) -> ScoreBank:
+    """Scores of all techniques, and with the truth of the drive a bank."""
+    queries, references = world.place.size, world.source.size
+    scores = np.empty((len(looks), queries, references), np.float32)  # (T, Q, R)
+    for t, look in enumerate(looks):
+        write_scores(rng, world, look, world.competence[t], scores[t])
+    return ScoreBank(
+        scores,
+        TECHNIQUE_NAMES[: len(looks)],
+        seconds,
+        tolerance=tolerance,
+        ground_truth=np.floor(world.place + 0.5).astype(np.int64).clip(0, references - 1),
+        name=name,
+        source="simulated",
+    )

@@ -1,0 +1,85 @@
+"""What all techniques share on a simulated route: the drive, the conditions, the map's traps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.routes.ranges import draw_integer
+
+Floats = NDArray[np.float32]
+Ints = NDArray[np.int64]
+
+SPEEDS = (1.0, 1.0, 1.0, 1.0, 0.5, 1.5, 0.0, 2.0)  # places per frame, drawn with 'varied' motion
+
+
+@dataclass(frozen=True)
+class World:
+    """What all techniques share on one route."""
+
+    place: NDArray[np.float64]  # (Q,) position of each frame, in places, may lie between two
+    condition: Ints  # (Q,) which condition each frame is in
+    competence: NDArray[np.float64]  # (T, C) 0 useless .. 1 noiseless
+    source: Ints  # (R,) the place that each place repeats; itself where none
+    bland: Floats  # (R,) +1 hub, -1 void, 0 neither
+
+
+def varied_drive(
+    rng: np.random.Generator, queries: int, references: int, speed_change: float, jump: float
+) -> NDArray[np.float64]:
+    """Positions (Q,) of a robot that stops, drives slower and faster, and is carried away."""
+    jumps = (rng.random(queries) < jump).tolist()
+    changes = (rng.random(queries) < speed_change).tolist()
+    targets = (rng.random(queries) * (references - 1)).tolist()
+    speeds = rng.choice(SPEEDS, queries).tolist()
+    position, speed, places = float(rng.integers(references)) / 2.0, 1.0, [0.0] * queries
+    for q in range(queries):  # scalars only: tens of nanoseconds per frame
+        if jumps[q]:
+            position = targets[q]
+        if changes[q]:
+            speed = speeds[q]
+        if position > references - 1:  # the end of the map: start again in its first half
+            position = targets[q] / 2.0
+        places[q] = position
+        position += speed
+    return np.asarray(places)
+
+
+def repeated_places(
+    rng: np.random.Generator, references: int, density: float, length: tuple[int, int]
+) -> Ints:
+    """For each place the earlier place it repeats, or itself."""
+    source = np.arange(references)
+    for _ in range(rng.poisson(density * references / 100.0)):
+        size = min(draw_integer(rng, length), references // 2)
+        start = int(rng.integers(size, references - size + 1))
+        earlier = int(rng.integers(0, start - size + 1))
+        source[start : start + size] = source[earlier : earlier + size]
+    return source
+
+
+def bland_places(
+    rng: np.random.Generator,
+    references: int,
+    density: float,
+    length: tuple[int, int],
+    hubs: float,
+) -> Floats:
+    """Which places attract (+1) or repel (-1) all queries."""
+    bland = np.zeros(references, np.float32)
+    for _ in range(rng.poisson(density * references / 100.0)):
+        start, size = int(rng.integers(references)), draw_integer(rng, length)
+        bland[start : start + size] = 1.0 if rng.random() < hubs else -1.0
+    return bland
+
+
+def no_repeats(rng: np.random.Generator, length: int, kinds: int) -> Ints:
+    """`length` numbers below `kinds`: all of them once in random order, then never one twice."""
+    order = rng.permutation(kinds)[:length]
+    if kinds == 1:
+        return np.zeros(length, np.int64)
+    steps = rng.integers(1, kinds, max(length - kinds, 0))
+    later = (order[-1] + np.cumsum(steps)) % kinds
+    return np.concatenate([order, later]).astype(np.int64)

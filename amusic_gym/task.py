@@ -1,0 +1,313 @@
+"""The task under the single and the vector environment: spaces, routes, rewards, infos.
+
+Both environments hold a :class:`Task`, the single one with a batch of one, so that there is one
+implementation of everything but Gymnasium's two calling conventions.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+from amusic_gym.dynamics import Outcome
+from amusic_gym.episode import Episodes, Route, columns_for
+from amusic_gym.names import suggest
+from amusic_gym.observation import bounds
+from amusic_gym.rewards import Reward, RewardInputs, as_reward
+from amusic_gym.settings import COVERAGE, SICSettings
+from amusic_gym.sources import BankLike, RouteSource, as_source
+
+Infos = dict[str, Any]
+
+RESET_OPTIONS = ("bank", "start", "compute_weight")
+RENDER_MODES = ("ansi",)
+
+ROUTE_INFOS = (
+    "frame",
+    "prediction",
+    "confidence",
+    "p_correct",
+    "margin",
+    "technique",
+    "seconds",
+    "fallback",
+    "idle",
+)
+TECHNIQUE_INFOS = ("ran", "place", "statistic", "correction")
+SELECTION_INFOS = ("tally", "selected", "late_runs")
+
+
+class Task:
+    """Technique selection on a batch of N routes.
+
+    Args:
+        num_routes: N.
+        bank: folder, :class:`~amusic_gym.bank.ScoreBank`, list of these, a
+            :class:`~amusic_gym.sources.RouteSource`, or None for simulated routes.
+        statistic: SIC's statistic, ``"evidence"`` or ``"mean"``.
+        candidates: K.
+        history: F.
+        gamma: weight of a row per frame of age.
+        compute_weight: λ, or a range from which every episode draws it on a logarithmic scale.
+        reselection: M, the block of the re-select bit; None: no such bit.
+        coverage: E of the re-selection.
+        allow_idle: whether an empty action runs nothing.
+        slots: S, to train ensembles of different size together; None: the banks' technique count.
+        episode_length: frames after which an episode is truncated; None: never.
+        random_start: whether episodes begin anywhere on the route.
+        costs: cost model of given banks: ``"measured"``, ``"paper"`` or ``"runs"``.
+        reward: ``"estimated"``, ``"ground_truth"`` or a callable (:mod:`amusic_gym.rewards`).
+        render_mode: ``"ansi"`` or None.
+
+    Raises:
+        ValueError: for any argument out of range, with the valid ones.
+    """
+
+    def __init__(
+        self,
+        num_routes: int,
+        bank: BankLike | Sequence[BankLike] | RouteSource | None = None,
+        *,
+        statistic: str = SICSettings.statistic,
+        candidates: int = SICSettings.candidates,
+        history: int = SICSettings.history,
+        gamma: float = SICSettings.gamma,
+        compute_weight: float | tuple[float, float] = 1.0,
+        reselection: int | None = None,
+        coverage: float = COVERAGE,
+        allow_idle: bool = False,
+        slots: int | None = None,
+        episode_length: int | None = None,
+        random_start: bool = False,
+        costs: str = "measured",
+        reward: str | Reward = "estimated",
+        render_mode: str | None = None,
+    ) -> None:
+        if num_routes < 1:
+            raise ValueError(f"num_envs is {num_routes}; give at least 1")
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise ValueError(suggest("render mode", render_mode, RENDER_MODES))
+        self.settings = SICSettings(statistic, candidates, history, gamma)
+        self.source = as_source(bank, costs=costs, aligned=slots is None)
+        self.slots = self._count("slots", slots, least=self.source.slots) or self.source.slots
+        self.episode_length = self._count("episode_length", episode_length, least=1)
+        block = self._count("reselection", reselection, least=1) or 0
+        if not 0.0 < coverage <= 1.0:
+            raise ValueError(f"coverage (E) is {coverage}; give a number in (0, 1]")
+        self.random_start = random_start
+        self.compute_weights = self._weight_range(compute_weight)
+        self.reward = as_reward(reward)
+        self.reward_names: tuple[str, ...] = ()
+        self.episodes = Episodes(
+            num_routes,
+            self.slots,
+            self.settings,
+            reselection=block,
+            coverage=coverage,
+            allow_idle=allow_idle,
+        )
+        self.block = block
+        self.observation_space = spaces.Box(*bounds(self.slots), dtype=np.float32)
+        self.action_space = spaces.MultiBinary(self.episodes.action_size)
+
+    @staticmethod
+    def _count(name: str, value: int | None, *, least: int) -> int | None:
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+            raise ValueError(f"{name} is {value!r}; give a whole number >= {least}, or None")
+        return int(value)
+
+    @staticmethod
+    def _weight_range(weight: float | tuple[float, float]) -> tuple[float, float]:
+        low, high = weight if isinstance(weight, tuple | list) else (weight, weight)
+        fixed_or_range = low == high or low > 0.0
+        if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low <= high):
+            fixed_or_range = False
+        if not fixed_or_range:
+            raise ValueError(
+                f"compute_weight is {weight!r}; give a number >= 0, or (low, high) with"
+                f" 0 < low <= high"
+            )
+        return float(low), float(high)
+
+    # --- episodes -------------------------------------------------------------------------------
+
+    def begin(
+        self, i: int, rng: np.random.Generator, options: Mapping[str, Any] | None = None
+    ) -> None:
+        """Begin an episode on route ``i``, drawn with its own generator.
+
+        Args:
+            i: number of the route in the batch.
+            rng: the route's generator.
+            options: any of ``bank`` (number in the list), ``start`` (query of the first frame)
+                and ``compute_weight``; each may be an array with one entry per route.
+
+        Raises:
+            ValueError: for an unknown option or a value out of range.
+        """
+        given = self._options(options, i)
+        bank, index = self.source.sample(rng, given.get("bank"))
+        start = given.get("start")
+        if start is None:
+            last = bank.queries - min(self.episode_length or 1, bank.queries)
+            start = int(rng.integers(last + 1)) if self.random_start else 0
+        if not 0 <= start < bank.queries:
+            raise ValueError(f"start is {start}; bank {bank.name!r} has {bank.queries} queries")
+        weight = given.get("compute_weight")
+        low, high = self.compute_weights if weight is None else self._weight_range(float(weight))
+        if low < high:
+            low = math.exp(rng.uniform(math.log(low), math.log(high)))
+        columns = columns_for(bank, self.source.techniques, self.slots)
+        self.episodes.begin(i, Route(bank, start, bank.queries - start, columns, low, index))
+
+    @staticmethod
+    def _options(options: Mapping[str, Any] | None, i: int) -> dict[str, Any]:
+        given: dict[str, Any] = {}
+        for name, value in (options or {}).items():
+            if name not in RESET_OPTIONS:
+                raise ValueError(suggest("reset option", name, RESET_OPTIONS))
+            value = value[i] if np.ndim(value) else value
+            given[name] = value if name == "compute_weight" else operator.index(value)
+        return given
+
+    def check_actions(self, actions: ArrayLike, batch: tuple[int, ...]) -> NDArray[np.bool_]:
+        """Actions as (N, A) bool; values are checked, not the dtype.
+
+        Raises:
+            ValueError: for a wrong shape or any value but 0 and 1.
+        """
+        given = np.asarray(actions)
+        shape = (*batch, *self.action_space.shape)
+        if given.shape != shape:
+            raise ValueError(f"action of shape {given.shape}; the action space has {shape}")
+        if given.dtype != np.bool_:
+            wrong = (given != 0) & (given != 1)
+            if wrong.any():
+                raise ValueError(
+                    f"action value {given[wrong][0]}; {self.action_space} takes 0 and 1 only"
+                )
+        return given.astype(np.bool_).reshape(self.episodes.num_routes, -1)
+
+    def step(
+        self, active: NDArray[np.bool_], actions: NDArray[np.bool_]
+    ) -> tuple[Outcome, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Infos]:
+        """One frame of the active routes: run techniques, correct, fuse, reward.
+
+        Returns:
+            Outcome, rewards, terminated, truncated, all with leading N, and the infos.
+        """
+        out = self.episodes.step(active, actions)
+        terms = self.reward(RewardInputs(out, self.compute_weight(), lambda: self.correct(out)))
+        rewards = np.where(active, sum(terms.values()), 0.0)
+        terminated = active & self.episodes.finished()
+        truncated = np.zeros_like(terminated)
+        if self.episode_length is not None:
+            late = self.episodes.frames_seen() >= self.episode_length
+            truncated = active & late & ~terminated
+        return out, rewards, terminated, truncated, self.infos(out, terms)
+
+    def compute_weight(self) -> NDArray[np.float64]:
+        """(N,) λ of each route."""
+        weights: NDArray[np.float64] = self.episodes.state.routes["compute_weight"].copy()
+        return weights
+
+    def correct(self, out: Outcome) -> NDArray[np.bool_]:
+        """(N,) whether the predictions are true places."""
+        correct = np.zeros(self.episodes.num_routes, np.bool_)
+        for i, route in enumerate(self.episodes.routes):
+            place = out.routes["prediction"][i : i + 1]
+            if route is not None and place >= 0:
+                frames = route.start + out.routes["frame"][i : i + 1]
+                correct[i] = route.bank.truth.correct(place, frames)[0]
+        return correct
+
+    # --- infos ----------------------------------------------------------------------------------
+
+    def infos(self, out: Outcome, terms: Mapping[str, NDArray[np.float64]] | None = None) -> Infos:
+        """Infos of the batch: name → array with leading N; the same names at every step."""
+        if terms is None:
+            zeros = np.zeros(self.episodes.num_routes)
+            inputs = RewardInputs(out, self.compute_weight(), lambda: zeros.astype(np.bool_))
+            terms = {name: np.zeros_like(zeros) for name in self.reward(inputs)}
+        slots = self.episodes.state.slots
+        infos: Infos = {name: out.routes[name].copy() for name in ROUTE_INFOS}
+        infos |= {name: out.slots[name].copy() for name in TECHNIQUE_INFOS}
+        infos["route"] = np.array([-1 if r is None else r.index for r in self.episodes.routes])
+        infos["present"] = slots["present"].astype(np.bool_)
+        infos["run_seconds"] = slots["seconds"].copy()
+        infos["compute_weight"] = self.compute_weight()
+        infos["reward_terms"] = {
+            name: np.array(term, np.float64) for name, term in terms.items()
+        }
+        if self.block:
+            infos["selection"] = {
+                "happened": out.routes["happened"].copy(),
+                "corrections": out.corrections,
+                **{name: out.slots[name].copy() for name in SELECTION_INFOS},
+            }
+        return infos
+
+    def describe(self, i: int) -> str:
+        """One line on route ``i``, for ``render_mode="ansi"``."""
+        route, record = self.episodes.routes[i], self.episodes.state.routes[i]
+        if route is None:
+            return "no route yet; call reset first"
+        slots = self.episodes.state.slots[i]
+        ran = [
+            route.bank.techniques[t]
+            for t, slot in zip(route.columns, slots, strict=True)
+            if t >= 0 and slot["ran"]
+        ]
+        return (
+            f"{route.bank.name} frame {record['frame'] + 1}/{record['frames']}:"
+            f" place {record['prediction']}, confidence {record['confidence']:.2f},"
+            f" p {record['p_correct']:.2f}, ran {' + '.join(ran) or 'nothing'}"
+        )
+
+
+def as_seed(seed: int | None) -> int | None:
+    """A seed that Gymnasium takes: Python's or NumPy's whole numbers from 0.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    if seed is None:
+        return None
+    try:
+        number = operator.index(seed)
+    except TypeError:
+        number = -1
+    if number < 0:
+        raise ValueError(f"seed is {seed!r}; give a whole number >= 0")
+    return number
+
+
+def first_of(infos: Infos) -> Infos:
+    """Infos of a batch of one as a single environment gives them: plain numbers and arrays."""
+    return {
+        name: first_of(value)
+        if isinstance(value, dict)
+        else (value[0] if value.ndim > 1 else value[0].item())
+        for name, value in infos.items()
+    }
+
+
+def masked(infos: Infos, mask: NDArray[np.bool_]) -> Infos:
+    """Infos as Gymnasium's vector environments give them: zero and unset outside ``mask``."""
+    result: Infos = {}
+    for name, value in infos.items():
+        if isinstance(value, dict):
+            result[name] = masked(value, mask)
+        else:
+            kept = mask.reshape(-1, *[1] * (value.ndim - 1))
+            result[name] = value if mask.all() else np.where(kept, value, np.zeros_like(value))
+        result[f"_{name}"] = mask.copy()
+    return result

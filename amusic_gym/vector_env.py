@@ -1,0 +1,199 @@
+"""The native vector environment: N routes in one compiled loop, Gymnasium's ``VectorEnv``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from amusic_gym.names import suggest
+from amusic_gym.task import RENDER_MODES, Infos, Task, as_seed, masked
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8], NDArray[Any]]):
+    """N routes at once; equal bit for bit to N single environments in a ``SyncVectorEnv``.
+
+    Args:
+        num_envs: N.
+        bank: as in :class:`amusic_gym.env.TechniqueSelectionEnv`.
+        autoreset_mode: any of Gymnasium's modes.
+        max_episode_steps: what ``gymnasium.make_vec`` passes; the same as ``episode_length``.
+        arguments: the single environment's, see :class:`amusic_gym.task.Task`.
+
+    Raises:
+        ValueError: for any argument out of range, with the valid ones.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        bank: Any = None,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        **arguments: Any,
+    ) -> None:
+        if max_episode_steps is not None:
+            arguments.setdefault("episode_length", max_episode_steps)
+        self.autoreset_mode = self._mode(autoreset_mode)
+        self.task = Task(num_envs, bank, **arguments)
+        self.num_envs = num_envs
+        self.render_mode = arguments.get("render_mode")
+        self.metadata = {
+            "render_modes": list(RENDER_MODES),
+            "autoreset_mode": self.autoreset_mode,
+        }
+        self.single_observation_space = self.task.observation_space
+        self.single_action_space = self.task.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._generators = [seeding.np_random()[0] for _ in range(num_envs)]
+        self._begun = np.zeros(num_envs, np.bool_)
+        self._ended = np.zeros(num_envs, np.bool_)
+
+    @staticmethod
+    def _mode(mode: AutoresetMode | str) -> AutoresetMode:
+        valid = {m.value: m for m in AutoresetMode}
+        if isinstance(mode, AutoresetMode):
+            return mode
+        if mode not in valid:
+            raise ValueError(suggest("autoreset mode", mode, tuple(valid)))
+        return valid[mode]
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[NDArray[np.float32], Infos]:
+        """Begin an episode on every route, or on those of ``options["reset_mask"]``.
+
+        Args:
+            seed: route i is seeded with seed + i; or one seed per route.
+            options: those of the single environment (also one entry per route) and
+                ``reset_mask`` (N,) bool.
+        """
+        options = dict(options or {})
+        mask = self._reset_mask(options.pop("reset_mask", None))
+        for i, single in enumerate(self._seeds(seed)):
+            if mask[i]:
+                if single is not None:
+                    self._generators[i] = seeding.np_random(single)[0]
+                self._begin(i, options)
+        out = self.task.episodes.look()
+        return out.observation, masked(self.task.infos(out), mask)
+
+    def _begin(self, i: int, options: Mapping[str, Any] | None = None) -> None:
+        self.task.begin(i, self._generators[i], options)
+        self._begun[i], self._ended[i] = True, False
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, list | tuple | np.ndarray):
+            if len(seed) != self.num_envs:
+                raise ValueError(f"{len(seed)} seeds for {self.num_envs} routes; give one each")
+            return [as_seed(single) for single in seed]
+        first = as_seed(seed)  # type: ignore[arg-type]
+        assert first is not None
+        return [first + i for i in range(self.num_envs)]
+
+    def _reset_mask(self, mask: Flags | None) -> Flags:
+        if mask is None:
+            return np.ones(self.num_envs, np.bool_)
+        mask = np.asarray(mask)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise ValueError(
+                f"reset_mask is {mask!r}; give ({self.num_envs},) booleans, at least one True"
+            )
+        return mask
+
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[NDArray[np.float32], Floats, Flags, Flags, Infos]:
+        """Run the chosen techniques on every route's next frame.
+
+        Raises:
+            ResetNeeded: before the first reset, and with autoreset disabled after an end.
+            ValueError: for actions outside the action space.
+        """
+        self._check_running()
+        checked = self.task.check_actions(actions, (self.num_envs,))
+        active = np.ones(self.num_envs, np.bool_)
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP:
+            active = ~self._ended
+            for i in np.flatnonzero(self._ended):
+                self._begin(int(i))
+        out, rewards, terminated, truncated, infos = self.task.step(active, checked)
+        if not active.all():
+            for term in infos["reward_terms"].values():
+                term[~active] = 0.0
+        self._ended = terminated | truncated
+        infos = masked(infos, np.ones(self.num_envs, np.bool_))
+        observation = out.observation
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
+            observation, infos = self._restart(observation, infos)
+        return observation, rewards, terminated, truncated, infos
+
+    def _check_running(self) -> None:
+        if not self._begun.all():
+            raise ResetNeeded("no episode is running; call reset() first")
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._ended.any():
+            ended = np.flatnonzero(self._ended).tolist()
+            raise ResetNeeded(
+                f"routes {ended} have ended; reset them with options={{'reset_mask': ...}}"
+            )
+
+    def _restart(
+        self, observation: NDArray[np.float32], infos: Infos
+    ) -> tuple[NDArray[np.float32], Infos]:
+        """Begin new episodes where one has ended (SAME_STEP), keeping the last observation."""
+        ended = self._ended.copy()
+        final = np.full(self.num_envs, None, dtype=object)
+        for i in np.flatnonzero(ended):
+            final[i] = observation[i].copy()
+            self._begin(int(i))
+        out = self.task.episodes.look()
+        started = masked(self.task.infos(out), np.ones(self.num_envs, np.bool_))
+        merged = _merge(infos, started, ended)
+        merged |= {
+            "final_obs": final,
+            "_final_obs": ended.copy(),
+            "final_info": masked(_unmasked(infos), ended),
+            "_final_info": ended.copy(),
+        }
+        return np.where(ended[:, None], out.observation, observation), merged
+
+    def render(self) -> tuple[str, ...] | None:  # type: ignore[override]
+        """One line per route with ``render_mode="ansi"``."""
+        if self.render_mode is None:
+            return None
+        return tuple(self.task.describe(i) for i in range(self.num_envs))
+
+
+def _unmasked(infos: Infos) -> Infos:
+    """The values of vector infos without their masks."""
+    return {
+        name: _unmasked(value) if isinstance(value, dict) else value
+        for name, value in infos.items()
+        if not name.startswith("_")
+    }
+
+
+def _merge(old: Infos, new: Infos, where: Flags) -> Infos:
+    """Infos with the entries of ``new`` on the routes of ``where``."""
+    return {
+        name: _merge(value, new[name], where)
+        if isinstance(value, dict)
+        else np.where(where.reshape(-1, *[1] * (value.ndim - 1)), new[name], value)
+        for name, value in old.items()
+    }

@@ -1,0 +1,176 @@
+"""Compare simulated routes with real recordings: a table, and figures into --out.
+
+The recordings are the banks given by --bank; with the variable AMUSIC_DATA, Corridor too.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from _cli import Parser, run
+from numpy.typing import NDArray
+
+from amusic_gym.bank import ScoreBank
+from amusic_gym.env import TechniqueSelectionEnv
+from amusic_gym.importers import from_arrays
+from amusic_gym.plots.drawing import GREY, INK, figure_at
+from amusic_gym.routes.simulate import MOTIONS, Simulation
+from amusic_gym.routes.statistics import MEASURES, describe
+from amusic_gym.settings import STATISTICS
+
+ROUTES, SEED = 60, 1000
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+SHOWN = 4  # matrices of each kind in the figure
+SIMULATED, REAL = "#4C72B0", "#C44E52"
+
+Rows = dict[str, dict[str, float]]  # "bank technique" -> its measures
+
+
+def corridor(folder: Path) -> ScoreBank:
+    """The real recording Corridor with all its techniques."""
+    times = json.loads((folder / "techniques.json").read_text(encoding="utf-8"))
+    files = {name: folder / "scores" / f"{name}.npy" for name in sorted(times)}
+    references = np.load(next(iter(files.values())), mmap_mode="r").shape[1]
+    seconds = {n: times[n]["encode_s"] + references * times[n]["match_s"] for n in files}
+    truth = np.load(folder / "ground_truth.npy")
+    return from_arrays(files, seconds, ground_truth=truth, name="corridor")
+
+
+def recordings(paths: Sequence[Path]) -> list[ScoreBank]:
+    """The given banks, and Corridor where there is one."""
+    banks = [ScoreBank.load(path) for path in paths]
+    named = os.environ.get("AMUSIC_DATA")
+    if named:
+        banks.append(corridor(Path(named) / "corridor"))
+    if not banks:
+        raise ValueError("no recording to compare with; give --bank or set AMUSIC_DATA")
+    return banks
+
+
+def corrected(bank: ScoreBank, statistic: str) -> NDArray[np.int64]:
+    """SIC's place of each technique (T, Q) when all techniques run on all frames."""
+    env = TechniqueSelectionEnv(bank=bank, statistic=statistic)
+    env.reset(seed=0)
+    everything = np.ones(len(bank.techniques), np.int8)
+    infos = [env.step(everything)[-1] for _ in range(bank.queries)]
+    return np.stack([info["place"] for info in infos], axis=1).astype(np.int64)
+
+
+def measure(banks: Sequence[ScoreBank]) -> Rows:
+    """The measures of each technique of each bank."""
+    rows: Rows = {}
+    for bank in banks:
+        places = {statistic: corrected(bank, statistic) for statistic in STATISTICS}
+        for t, technique in enumerate(bank.techniques):
+            given = {statistic: places[statistic][t] for statistic in STATISTICS}
+            rows[f"{bank.name} {technique}"] = describe(bank, t, given)
+    return rows
+
+
+def column(rows: Rows, key: str) -> NDArray[np.float64]:
+    """One measure over all rows that have it."""
+    values = np.array([row[key] for row in rows.values()])
+    return values[np.isfinite(values)]
+
+
+def print_table(simulated: Rows, real: Rows) -> None:
+    """Markdown: quantiles of the simulated techniques beside the range of the real ones."""
+    quantiles = " | ".join(f"{100 * q:.0f} %" for q in QUANTILES)
+    print(f"simulated: {len(simulated)} techniques; real: {len(real)}: {', '.join(real)}\n")
+    print(f"| measure | sim. {quantiles} | real min | median | max | inside |")
+    print("|---" * (len(QUANTILES) + 5) + "|")
+    for key, meaning in MEASURES.items():
+        ours, theirs = column(simulated, key), column(real, key)
+        cells = [*np.quantile(ours, QUANTILES), theirs.min(), np.median(theirs), theirs.max()]
+        low, high = cells[0], cells[len(QUANTILES) - 1]
+        inside = int(((theirs >= low) & (theirs <= high)).sum())
+        numbers = " | ".join(f"{cell:.2f}" for cell in cells)
+        print(f"| {meaning} | {numbers} | {inside} of {theirs.size} |")
+
+
+def write_table(simulated: Rows, real: Rows, path: Path) -> None:
+    """All measures of all techniques, as CSV."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["kind", "matrix", *MEASURES])
+        for kind, rows in (("simulated", simulated), ("real", real)):
+            for name, row in rows.items():
+                writer.writerow([kind, name, *(f"{row[key]:.6g}" for key in MEASURES)])
+
+
+def draw_measures(simulated: Rows, real: Rows, path: Path) -> None:
+    """One panel per measure: histogram of the simulated techniques, a line per real one."""
+    across = 3
+    down = -(-len(MEASURES) // across)
+    with figure_at(path, 10.0, 1.75 * down) as figure:
+        for panel, (key, meaning) in enumerate(MEASURES.items()):
+            axes = figure.add_subplot(down, across, panel + 1)
+            ours, theirs = column(simulated, key), column(real, key)
+            axes.hist(ours, bins=24, color=SIMULATED, alpha=0.75, label="simulated techniques")
+            for i, value in enumerate(theirs):
+                axes.axvline(value, color=REAL, lw=1.0, label="" if i else "real techniques")
+            axes.set_title(meaning, fontsize=7.5, color=INK)
+            axes.tick_params(labelsize=7, colors=GREY)
+            if panel == 0:
+                axes.legend(fontsize=7)
+
+
+def draw_matrices(simulated: Sequence[ScoreBank], real: Sequence[ScoreBank], path: Path) -> None:
+    """Score matrices of either kind, rows standardised, the same grey scale everywhere."""
+    kinds = (("simulated", simulated), ("real", real))
+    with figure_at(path, 10.0, 5.6) as figure:
+        for line, (kind, banks) in enumerate(kinds):
+            matrices = [
+                (f"{bank.name} {name}", bank.scores[t])
+                for bank in banks
+                for t, name in enumerate(bank.techniques)
+            ]
+            step = max(1, len(matrices) // SHOWN)
+            for i, (name, scores) in enumerate(matrices[::step][:SHOWN]):
+                axes = figure.add_subplot(2, SHOWN, line * SHOWN + i + 1)
+                centred = scores - scores.mean(axis=1, keepdims=True)
+                z = centred / np.maximum(scores.std(axis=1, keepdims=True), 1e-12)
+                axes.imshow(z, cmap="gray", vmin=-2.5, vmax=3.0, aspect="auto")
+                axes.set_title(f"{kind}: {name}", fontsize=8)
+                axes.set_xlabel("place", fontsize=7)
+                axes.set_ylabel("frame", fontsize=7)
+                axes.tick_params(labelsize=6)
+
+
+def _parser() -> Parser:
+    parser = Parser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="for the figures")
+    parser.add_argument("--bank", type=Path, action="append", default=[], metavar="BANK")
+    parser.add_argument("--routes", type=int, default=ROUTES, metavar="N", help="simulated routes")
+    parser.add_argument("--seed", type=int, default=SEED, metavar="S", help="of the first route")
+    parser.add_argument("--motion", choices=MOTIONS, default=Simulation.motion)
+    return parser
+
+
+def main() -> None:
+    """Draw routes, measure both kinds, print and write."""
+    args = _parser().parse_args()
+    if args.routes < 1 or args.seed < 0:
+        raise ValueError(
+            f"--routes is {args.routes} and --seed {args.seed}; give at least 1 and at least 0"
+        )
+    real = recordings(args.bank)
+    simulation = Simulation(motion=args.motion)
+    seeds = range(args.seed, args.seed + args.routes)
+    drawn = [simulation.route(np.random.default_rng(s), name=f"seed {s}") for s in seeds]
+    ours, theirs = measure(drawn), measure(real)
+    args.out.mkdir(parents=True, exist_ok=True)
+    print_table(ours, theirs)
+    write_table(ours, theirs, args.out / "measures.csv")
+    draw_measures(ours, theirs, args.out / "measures.png")
+    draw_matrices(drawn, real, args.out / "matrices.png")
+    print(f"\n{args.out}: measures.csv, measures.png, matrices.png")
+
+
+if __name__ == "__main__":
+    run(main)

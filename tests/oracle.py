@@ -1,0 +1,383 @@
+"""What the package must compute, written a second time as explicit loops.
+
+Nothing here imports the package. Numbers are Python floats, sums are exact (`math.fsum`), every
+walk along the history is a loop one can follow with a finger, so that the fast code has something
+obviously right to be compared with. Axis order: `scores[technique][query][reference]`; activity
+patterns are `ran[query][technique]`, as in a trace.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from oracle_metrics import (
+    accuracy,
+    auc,
+    auc_vprbench,
+    compute,
+    correctness,
+    positives,
+    ptr,
+)
+
+# Rows, patterns and confidences are read by index only: a nested list or a NumPy array both do.
+Numbers = Any
+
+RELATIVE_TIE = 1e-9
+ABSOLUTE_TIE = 1e-12
+
+
+# --------------------------------------------------------------------------- one technique: SIC
+
+
+class Sic(NamedTuple):
+    """What SIC says of one technique at one frame; candidates are in rank order."""
+
+    place: int
+    statistic: float
+    correction: float
+    candidates: list[int]
+    statistics: list[float]
+
+
+def standardise(row: Numbers) -> list[float]:
+    """Z-scores of one score row, with the population deviation; a constant row gives zeros."""
+    values = [float(value) for value in row]
+    if all(value == values[0] for value in values):
+        return [0.0 for _ in values]
+    mean = math.fsum(values) / len(values)
+    deviation = math.sqrt(math.fsum((value - mean) ** 2 for value in values) / len(values))
+    return [(value - mean) / deviation for value in values]
+
+
+def standardise_bank(scores: Numbers) -> list[list[list[float]]]:
+    """Z-scores of every row of every technique."""
+    return [[standardise(row) for row in rows] for rows in scores]
+
+
+def top_candidates(row: Numbers, count: int) -> list[int]:
+    """The places of the `count` highest scores, best first, ties to the lower place."""
+    places = sorted(range(len(row)), key=lambda place: (-float(row[place]), place))
+    return places[: min(count, len(row))]
+
+
+def equal(value: float, highest: float) -> bool:
+    """Whether a statistic counts as equal to the highest one."""
+    return abs(highest - value) <= RELATIVE_TIE * abs(highest) + ABSOLUTE_TIE
+
+
+def first_best(statistics: Sequence[float]) -> int:
+    """The first entry that is equal to the highest one."""
+    highest = max(statistics)
+    for index, value in enumerate(statistics):
+        if equal(value, highest):
+            return index
+    raise AssertionError("the highest value is equal to itself")
+
+
+def diagonal_statistic(
+    z: Numbers, ran: Numbers, q: int, place: int, past: int, gamma: float, statistic: str
+) -> float:
+    """The statistic of one candidate: its walk back along the diagonal, frame by frame."""
+    weighted, weights, squares = [], [], []
+    for delta in range(min(past, q, place) + 1):
+        if not ran[q - delta]:
+            continue  # a row that was not computed does not exist
+        weight = gamma**delta
+        weighted.append(weight * z[q - delta][place - delta])
+        weights.append(weight)
+        squares.append(weight * weight)
+    if statistic == "mean":
+        return math.fsum(weighted) / math.fsum(weights)
+    if statistic == "evidence":
+        return math.fsum(weighted) / math.sqrt(math.fsum(squares))
+    raise ValueError(f"unknown statistic {statistic!r}; use 'mean' or 'evidence'")
+
+
+def sic(
+    scores: Numbers,
+    ran: Numbers,
+    q: int,
+    candidates: int = 50,
+    past: int = 1000,
+    gamma: float = 1.0,
+    statistic: str = "mean",
+    z: Numbers = None,
+) -> Sic:
+    """SIC of one technique at frame q ("A-MuSIC", III-A).
+
+    Args:
+        scores: The technique's score rows (Q, R); rows after q are not looked at.
+        ran: (Q,) whether the technique's row exists; that of q must.
+        q: The frame.
+        candidates: K.
+        past: F, past frames at most, besides the current one.
+        gamma: The weight of a row delta frames ago is gamma ** delta.
+        statistic: "mean" or "evidence".
+        z: The z-scores of `scores`, where they are known already.
+    """
+    if not ran[q]:
+        raise ValueError(f"the technique did not run on frame {q}; SIC needs its row")
+    if z is None:
+        z = [standardise(scores[frame]) for frame in range(q + 1)]
+    places = top_candidates(scores[q], candidates)
+    values = [diagonal_statistic(z, ran, q, c, past, gamma, statistic) for c in places]
+    winner = first_best(values)
+    return Sic(places[winner], values[winner], values[winner] - values[0], places, values)
+
+
+# --------------------------------------------------------------------- several techniques: MuSIC
+
+
+class Music(NamedTuple):
+    """What MuSIC says at one frame; `sics` holds None for a technique that did not run."""
+
+    technique: int
+    place: int
+    confidence: float
+    sics: list[Sic | None]
+
+
+def column(ran: Numbers, technique: int) -> list[bool]:
+    """The activity of one technique over the frames."""
+    return [bool(frame[technique]) for frame in ran]
+
+
+def music(
+    scores: Numbers,
+    ran: Numbers,
+    q: int,
+    candidates: int = 50,
+    past: int = 1000,
+    gamma: float = 1.0,
+    statistic: str = "mean",
+    z: Numbers = None,
+) -> Music:
+    """MuSIC at frame q among the techniques that ran on it ("A-MuSIC", III-B).
+
+    `scores` is (T, Q, R), `ran` is (Q, T) and `z` is None or the z-scores of `scores`.
+    """
+    sics: list[Sic | None] = []
+    for technique in range(len(scores)):
+        if not ran[q][technique]:
+            sics.append(None)
+            continue
+        known = None if z is None else z[technique]
+        history = column(ran, technique)
+        sics.append(sic(scores[technique], history, q, candidates, past, gamma, statistic, known))
+    present = [technique for technique, found in enumerate(sics) if found is not None]
+    if not present:
+        raise ValueError(f"no technique ran on frame {q}; MuSIC needs one")
+    found = [result for result in sics if result is not None]
+    best = first_best([result.statistic for result in found])
+    return Music(present[best], found[best].place, found[best].statistic, sics)
+
+
+def margin(result: Music, tolerance: int) -> float | None:
+    """How far the winner's statistic is above the best rival's; None without a rival.
+
+    A rival is any candidate of any technique that ran, more than `tolerance` places away from
+    the winner.
+    """
+    rivals = []
+    for found in result.sics:
+        if found is None:
+            continue
+        for place, value in zip(found.candidates, found.statistics, strict=True):
+            if abs(place - result.place) > tolerance:
+                rivals.append(value)
+    return result.confidence - max(rivals) if rivals else None
+
+
+# --------------------------------------------------------------------------------- A-MuSIC
+
+
+@dataclass
+class Selection:
+    """One selection of A-MuSIC, done before frame `frame` over the block just before it."""
+
+    frame: int
+    tally: list[int]
+    chosen: list[int]
+    late_runs: list[int]  # (T,) after-the-fact runs
+    corrections: list[list[float]]  # (M, T)
+
+
+@dataclass
+class Route:
+    """What a policy did on a route of Q frames with T techniques."""
+
+    predictions: list[int] = field(default_factory=list)
+    confidences: list[float] = field(default_factory=list)
+    chosen: list[int] = field(default_factory=list)
+    ran: list[list[bool]] = field(default_factory=list)  # (Q, T) on the frame itself
+    selections: list[Selection] = field(default_factory=list)
+    p_values: dict[int, float] = field(default_factory=dict)  # frame after the block -> p
+
+    def runs(self) -> list[int]:
+        """Runs per technique (T,), after-the-fact runs included."""
+        total = [sum(frame[t] for frame in self.ran) for t in range(len(self.ran[0]))]
+        for selection in self.selections:
+            total = [sum(pair) for pair in zip(total, selection.late_runs, strict=True)]
+        return total
+
+    def reselections(self) -> int:
+        """Selections but the first."""
+        return max(0, len(self.selections) - 1)
+
+
+def paired_t_test(before: Sequence[float], after: Sequence[float]) -> float:
+    """The p-value of the paired two-sided t-test; 1 is "never reject", 0 is "always".
+
+    All differences zero: 1. A constant difference other than zero: 0. Fewer than two pairs: 1.
+    """
+    from scipy import stats
+
+    differences = [b - a for a, b in zip(before, after, strict=True)]
+    count = len(differences)
+    if count < 2 or all(difference == 0 for difference in differences):
+        return 1.0
+    if all(difference == differences[0] for difference in differences):
+        return 0.0
+    mean = math.fsum(differences) / count
+    variance = math.fsum((d - mean) ** 2 for d in differences) / (count - 1)
+    t = mean / math.sqrt(variance / count)
+    return 2.0 * float(stats.t.sf(abs(t), count - 1))
+
+
+def coverage(tally: Sequence[int], block: int, share: float) -> list[int]:
+    """Techniques by falling tally until their sum is at least ceil(share * block).
+
+    The product is a real number: 0.1 * 30 is 3, though floats say a little more.
+    """
+    enough = math.ceil(share * block - 1e-9)
+    chosen: list[int] = []
+    for technique in sorted(range(len(tally)), key=lambda t: (-tally[t], t)):
+        if sum(tally[t] for t in chosen) >= enough:
+            break
+        chosen.append(technique)
+    return sorted(chosen)
+
+
+def amusic(
+    scores: Numbers,
+    candidates: int = 50,
+    past: int = 1000,
+    gamma: float = 1.0,
+    statistic: str = "mean",
+    block: int = 10,
+    share: float = 0.7,
+    alpha: float = 0.05,
+) -> Route:
+    """The whole A-MuSIC rule ("A-MuSIC", III-C) on scores (T, Q, R).
+
+    `block` is M, `share` is E.
+    """
+    z = standardise_bank(scores)
+    settings = (candidates, past, gamma, statistic, z)
+    techniques, queries = len(scores), len(scores[0])
+    exists = [[False] * techniques for _ in range(queries)]  # rows in the history
+    route = Route()
+    active = list(range(techniques))
+    corrections: list[list[float]] = []  # (Q, T), of the techniques that ran
+    before: list[float] | None = None  # ch
+    for q in range(queries):
+        if q > 0 and q % block == 0:
+            frames = list(range(q - block, q))
+            rejected = before is None
+            if before is not None:
+                now = [corrections[f][t] for t in active for f in frames]
+                route.p_values[q] = paired_t_test(before, now)
+                rejected = route.p_values[q] < alpha
+                before = now
+            if rejected:
+                selection = select(scores, exists, frames, settings, share)
+                route.selections.append(selection)
+                active = selection.chosen
+                before = [selection.corrections[m][t] for t in active for m in range(block)]
+        for technique in active:
+            exists[q][technique] = True
+        result = music(scores, exists, q, *settings)
+        corrections.append([math.nan if s is None else s.correction for s in result.sics])
+        route.predictions.append(result.place)
+        route.confidences.append(result.confidence)
+        route.chosen.append(result.technique)
+        route.ran.append(list(exists[q]))
+    return route
+
+
+def select(
+    scores: Numbers,
+    exists: list[list[bool]],
+    frames: list[int],
+    settings: tuple[Any, ...],
+    share: float,
+) -> Selection:
+    """Selection over the frames of a block; marks the after-the-fact rows in `exists`."""
+    techniques = len(scores)
+    late_runs = [0] * techniques
+    for frame in frames:
+        for technique in range(techniques):
+            if not exists[frame][technique]:
+                exists[frame][technique] = True
+                late_runs[technique] += 1
+    tally = [0] * techniques
+    corrections = []
+    for frame in frames:
+        result = music(scores, exists, frame, *settings)  # walks back only: rows up to itself
+        tally[result.technique] += 1
+        corrections.append([s.correction for s in result.sics if s is not None])
+    chosen = coverage(tally, len(frames), share)
+    return Selection(frames[-1] + 1, tally, chosen, late_runs, corrections)
+
+
+# ------------------------------------------------------------------------- simple policies
+
+
+def always(
+    scores: Numbers,
+    active: Sequence[int],
+    candidates: int = 50,
+    past: int = 1000,
+    gamma: float = 1.0,
+    statistic: str = "mean",
+) -> Route:
+    """MuSIC over the same techniques on every frame; all of them, a subset, or one."""
+    z = standardise_bank(scores)
+    pattern = [[t in active for t in range(len(scores))] for _ in range(len(scores[0]))]
+    route = Route(ran=pattern)
+    for q in range(len(pattern)):
+        result = music(scores, pattern, q, candidates, past, gamma, statistic, z)
+        route.predictions.append(result.place)
+        route.confidences.append(result.confidence)
+        route.chosen.append(result.technique)
+    return route
+
+
+def uncorrected(scores: Numbers, technique: int) -> Route:
+    """The place with the highest raw score of one technique, that score as confidence."""
+    rows = scores[technique]
+    route = Route(ran=[[t == technique for t in range(len(scores))] for _ in rows])
+    for row in rows:
+        place = top_candidates(row, 1)[0]
+        route.predictions.append(place)
+        route.confidences.append(float(row[place]))
+        route.chosen.append(technique)
+    return route
+
+
+def measure(route: Route, ground_truth: Numbers, seconds: Sequence[float]) -> dict[str, float]:
+    """Every number of a results row that the loops know."""
+    correct = correctness(route.predictions, ground_truth)
+    return {
+        "accuracy": accuracy(correct),
+        "auc": auc(correct, route.confidences, positives(ground_truth)),
+        "auc_vprbench": auc_vprbench(correct, route.confidences),
+        "ptr": ptr(route),
+        "compute": compute(route, seconds),
+        "runs": sum(route.runs()),
+        "reselections": route.reselections(),
+    }

@@ -1,0 +1,427 @@
+"""What the project promises of banks when input is bad or the program dies: one test per row."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from amusic_gym import bank_files, storage
+from amusic_gym.bank import GroundTruth, ScoreBank
+from amusic_gym.importers import from_arrays, from_vprbench
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def make_bank(value: float = 0.0, techniques: int = 2) -> ScoreBank:
+    names = [f"T{i}" for i in range(techniques)]
+    scores = np.full((techniques, 6, 8), value)
+    return ScoreBank(scores, names, np.ones(techniques), tolerance=1, name="route")
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    return make_bank().save(tmp_path / "bank")
+
+
+def run_python(code: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run ``code`` in a process of its own, which can be killed."""
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-c", code, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        timeout=120,
+        check=False,
+    )
+
+
+def run_script(*arguments: object) -> subprocess.CompletedProcess[str]:
+    script = ROOT / "scripts" / "bank.py"
+    return subprocess.run(
+        [sys.executable, str(script), *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+# ---- what is in a bank -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (2, 1, 5), (3, 1, 1)])
+def test_12_one_query_or_reference_works(shape, tmp_path):
+    names = [f"T{i}" for i in range(shape[0])]
+    bank = ScoreBank(np.zeros(shape), names, np.ones(shape[0]), tolerance=3)
+    assert bank.shape == ScoreBank.load(bank.save(tmp_path / "b"), verify=True).shape == shape
+    assert bank.truth.correct([0]).tolist() == [True]
+    assert bank.prepared(50).candidates == shape[2]
+
+
+@pytest.mark.parametrize("shape", [(0, 2, 2), (1, 0, 2), (1, 2, 0)])
+def test_12_zero_of_anything_is_refused(shape):
+    with pytest.raises(ValueError, match="at least one of each"):
+        ScoreBank(np.zeros(shape), ["A"] * shape[0], np.ones(shape[0]), tolerance=0)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
+def test_13_a_score_that_is_not_finite_is_refused_by_technique_and_frame(bad):
+    scores = np.zeros((2, 6, 8))
+    scores[1, 4, 2] = bad
+    with pytest.raises(ValueError, match="technique 'T1' at frame 4, place 2 is"):
+        ScoreBank(scores, ["T0", "T1"], [1, 1], tolerance=0)
+
+
+def test_13_a_bank_on_disk_is_checked_on_demand(saved):
+    with (saved / "scores.npy").open("r+b") as file:
+        file.seek(-4, os.SEEK_END)
+        file.write(np.float32(np.nan).tobytes())
+    with pytest.raises(ValueError, match="technique 'T1' at frame 5, place 7 is nan"):
+        ScoreBank.load(saved).check_finite()
+
+
+@pytest.mark.parametrize(
+    ("ground_truth", "sentence"),
+    [
+        (np.zeros((6, 7), bool), r"shape \(6, 7\).*give shape \(6, 8\) or \(6,\)"),
+        (np.zeros((8, 6), bool), r"shape \(8, 6\)"),
+        (np.zeros(5, int), r"shape \(5,\)"),
+        (np.zeros((6, 8), int), "give a boolean matrix"),
+        (np.zeros(6), "give a list of integers"),
+        (np.array([0, 1, 2, 3, 4, 8]), r"true place 8 \(entry 5\) is out of range; valid: -1 to 7"),
+        (np.array([0, -2, 2, 3, 4, 5]), r"true place -2 \(entry 1\)"),
+        (GroundTruth.from_places([0, 1], 0, 8), r"shape \(2, 8\)"),
+    ],
+)
+def test_21_ground_truth_of_wrong_shape_or_range_is_refused(ground_truth, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        ScoreBank(np.zeros((1, 6, 8)), ["A"], [1], tolerance=0, ground_truth=ground_truth)
+
+
+def test_21_a_query_without_a_true_place_counts_wrong():
+    truth = GroundTruth.from_places([0, -1], 0, 3)
+    assert truth.has_place.tolist() == [True, False]
+    assert truth.correct([0, 2]).tolist() == [True, False]
+    assert truth.correct([-1, -1]).tolist() == [False, False]
+    np.testing.assert_array_equal(truth.distance([-1, -1]), [3.0, np.nan])
+
+
+# ---- damage ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["bank.json", "scores.npy", "ground_truth.npz"])
+@pytest.mark.parametrize("damage", ["missing", "empty", "garbage", "truncated", "longer"])
+def test_23_a_damaged_bank_is_refused_by_name(saved, name, damage):
+    file = saved / name
+    content = file.read_bytes()
+    match damage:
+        case "missing":
+            file.unlink()
+        case "empty":
+            file.write_bytes(b"")
+        case "garbage":
+            file.write_bytes(bytes(range(256)) * 4)
+        case "truncated":
+            file.write_bytes(content[:-9])
+        case "longer":
+            file.write_bytes(content + b"{}")
+    expected = FileNotFoundError if damage == "missing" else ValueError
+    with pytest.raises(expected, match=rf"{name}.*; \w+"):  # the file, and the mend
+        ScoreBank.load(saved)
+
+
+def test_23_bit_flips_are_found_in_small_files_always_and_in_the_scores_on_request(saved):
+    for name in sorted(os.listdir(saved)):
+        file = saved / name
+        content = file.read_bytes()
+        for at in range(0, len(content), 7):
+            flipped = bytearray(content)
+            flipped[at] ^= 1
+            file.write_bytes(flipped)
+            with pytest.raises((ValueError, FileNotFoundError), match=name.replace(".", r"\.")):
+                ScoreBank.load(saved, verify=name == "scores.npy")
+        file.write_bytes(content)
+    ScoreBank.load(saved, verify=True)
+
+
+def test_23_scores_of_another_shape_than_bank_json_says_are_refused(saved):
+    np.save(saved / "scores.npy", np.zeros((2, 6, 9), np.float32))
+    with pytest.raises(ValueError, match=r"shape \(2, 6, 9\) where bank.json says \(2, 6, 8\)"):
+        ScoreBank.load(saved)
+    np.save(saved / "scores.npy", np.zeros((2, 6, 8)))
+    with pytest.raises(ValueError, match="float64 where float32"):
+        ScoreBank.load(saved)
+
+
+def test_23_what_is_no_bank_at_all_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match="does not exist; build one with"):
+        ScoreBank.load(tmp_path / "none")
+    with pytest.raises(FileNotFoundError, match="has no bank.json, so it is not a bank"):
+        ScoreBank.load(tmp_path)
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(ValueError, match="is a file; a bank is a folder"):
+        ScoreBank.load(tmp_path / "file")
+
+
+class Bomb:
+    """Leaves a file behind when its pickle is read."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.path),)
+
+
+def test_24_pickled_objects_are_refused_and_never_run(saved, tmp_path):
+    bomb = np.array([Bomb(tmp_path / "exploded")], dtype=object)
+    np.save(saved / "scores.npy", bomb, allow_pickle=True)
+    with pytest.raises(ValueError, match="pickled objects are never read"):
+        ScoreBank.load(saved)
+    with pytest.raises(ValueError, match="holds pickled Python objects"):
+        from_arrays({"A": saved / "scores.npy"}, {"A": 1}, tolerance=0)
+    (tmp_path / "bare.npy").write_bytes(pickle.dumps(Bomb(tmp_path / "exploded")))
+    with pytest.raises(ValueError, match="is not a NumPy .npy file"):
+        from_arrays({"A": tmp_path / "bare.npy"}, {"A": 1}, tolerance=0)
+    assert not (tmp_path / "exploded").exists()
+
+
+def test_24_vprbench_files_are_unpickled_only_with_trust(tmp_path):
+    folder = tmp_path / "matches" / "X"
+    folder.mkdir(parents=True)
+    bomb = np.array([Bomb(tmp_path / "exploded")], dtype=object)
+    np.save(folder / "precomputed_data_corrected.npy", bomb, allow_pickle=True)
+    with pytest.raises(ValueError, match=r"if you trust who made it, pass trust=True \(--trust\)"):
+        from_vprbench(folder.parent, ["X"], np.arange(2))
+    assert not (tmp_path / "exploded").exists()
+    with pytest.raises(ValueError, match="is not laid out as"):
+        from_vprbench(folder.parent, ["X"], np.arange(2), trust=True)
+    assert (tmp_path / "exploded").exists()  # what trust means
+
+
+def test_29_a_newer_format_is_refused_with_the_version_it_needs(saved):
+    manifest = json.loads((saved / "bank.json").read_text())
+    manifest["format_version"] = 7
+    (saved / "bank.json").write_text(json.dumps(manifest))
+    with pytest.raises(ValueError, match=r"needs an amusic-gym that reads version 7.*upgrade"):
+        ScoreBank.load(saved)
+
+
+# ---- writers that die, and writers at once ------------------------------------------------
+
+KILLED_AT_EVERY_CALL = """
+import contextlib, json, os, shutil, signal, sys
+from pathlib import Path
+import numpy as np
+from amusic_gym import storage
+from amusic_gym.bank import ScoreBank
+
+folder, swap = Path(sys.argv[1]), sys.argv[2] == "swap"
+if not swap:
+    storage._swap = lambda *_: False
+
+def bank(value):
+    return ScoreBank(np.full((2, 6, 8), value), ["A", "B"], [1, 1], tolerance=1)
+
+def killed_at(call):
+    left = [call]
+    def counted(function):
+        def wrapper(*args, **kwargs):
+            left[0] -= 1
+            if left[0] < 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return function(*args, **kwargs)
+        return wrapper
+    for module, names in ((os, ("mkdir", "open", "fsync", "rename", "unlink", "rmdir")),
+                          (storage, ("_swap",)), (np.lib.format, ("write_array_header_1_0",)),
+                          (Path, ("write_text",)), (np, ("savez",))):
+        for name in names:
+            setattr(module, name, counted(getattr(module, name)))
+    bank(2.0).save(folder / "bank")
+    os._exit(0)
+
+bank(1.0).save(folder / "bank")
+calls, outcomes = 0, set()
+while True:
+    child = os.fork()
+    if child == 0:
+        killed_at(calls)
+    status = os.waitpid(child, 0)[1]
+    loaded = ScoreBank.load(folder / "bank", verify=True)
+    outcomes.add(float(loaded.scores[0, 0, 0]))
+    assert (loaded.scores == loaded.scores[0, 0, 0]).all()
+    bank(1.0).save(folder / "bank")
+    assert os.listdir(folder) == ["bank"], os.listdir(folder)
+    if status == 0:
+        break
+    assert os.WTERMSIG(status) == signal.SIGKILL
+    calls += 1
+print(json.dumps([calls, sorted(outcomes)]))
+"""
+
+
+@pytest.mark.parametrize("way", ["swap", "two renames"])
+def test_27_sigkill_at_any_call_leaves_a_whole_bank_and_the_next_writer_sweeps(tmp_path, way):
+    done = run_python(KILLED_AT_EVERY_CALL, tmp_path, way)
+    assert done.returncode == 0, done.stderr
+    calls, outcomes = json.loads(done.stdout)
+    assert calls > 12
+    assert outcomes == [1.0, 2.0]  # killed before and after the exchange
+
+
+FULL_DISK = """
+import resource, sys
+import numpy as np
+from amusic_gym.bank import ScoreBank
+bank = ScoreBank(np.ones((2, 100, 100)), ["A", "B"], [1, 1], tolerance=1)
+resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))  # scores.npy needs 80,128
+try:
+    bank.save(sys.argv[1])
+except OSError as error:
+    print(error)
+"""
+
+
+def test_27_a_full_disk_leaves_the_old_bank_and_no_leftovers(saved):
+    done = run_python(FULL_DISK, saved)
+    assert done.stdout.startswith(f"writing {saved} failed (File too large); nothing was changed")
+    assert ScoreBank.load(saved, verify=True).techniques == ("T0", "T1")
+    assert os.listdir(saved.parent) == ["bank"]
+
+
+def test_27_an_error_between_the_two_renames_puts_the_old_bank_back(saved, monkeypatch):
+    rename, calls = os.rename, []
+
+    def failing(source, target):
+        calls.append(source)
+        if len(calls) == 3:  # the first finds the name taken, the second moves the old aside
+            raise PermissionError(13, "Permission denied")
+        rename(source, target)
+
+    monkeypatch.setattr(storage, "_swap", lambda *_: False)
+    monkeypatch.setattr(os, "rename", failing)
+    with pytest.raises(OSError, match=r"failed \(Permission denied\); nothing was changed"):
+        make_bank(3.0).save(saved)
+    assert len(calls) == 4
+    assert (ScoreBank.load(saved, verify=True).scores == 0).all()
+    assert os.listdir(saved.parent) == ["bank"]
+
+
+def test_27_a_living_writer_s_folder_is_not_swept(saved):
+    with storage.replacing_folder(saved, "bank.json", bank_files._FILES) as folder:
+        make_bank(4.0).save(saved)  # another writer comes between
+        assert folder.exists()
+        bank_files.write(
+            folder / "inner",
+            scores=[np.zeros((2, 2), np.float32)],
+            truth=GroundTruth.from_places([0, 1], 0, 2),
+            techniques=[("A", 1.0)],
+            tolerance=0,
+            name="",
+            source="",
+            costs="measured",
+        )
+        for file in (folder / "inner").iterdir():
+            file.rename(folder / file.name)
+        (folder / "inner").rmdir()
+    assert ScoreBank.load(saved, verify=True).shape == (1, 2, 2)  # the later rename
+
+
+TWO_WRITERS = """
+import os, sys
+from pathlib import Path
+import numpy as np
+from amusic_gym import storage
+from amusic_gym.bank import ScoreBank
+
+path = Path(sys.argv[1])
+if sys.argv[2] != "swap":
+    storage._swap = lambda *_: False
+
+def bank(value):
+    return ScoreBank(np.full((value, 20, 30), value), [f"{value}-{i}" for i in range(value)],
+                     np.full(value, value), tolerance=value, name=str(value))
+
+bank(1).save(path)
+writers = []
+for value in (2, 3):
+    child = os.fork()
+    if child == 0:
+        made = bank(value)
+        for _ in range(60):
+            made.save(path)
+        os._exit(0)
+    writers.append(child)
+
+reads, seen = 0, set()
+while writers:
+    try:
+        loaded = ScoreBank.load(path, verify=True)
+    except FileNotFoundError:
+        if sys.argv[2] == "swap":
+            raise  # with the swap, the name is never empty
+    else:
+        value = loaded.tolerance
+        assert loaded.shape == (value, 20, 30) and (loaded.scores == value).all()
+        assert loaded.name == str(value) and (loaded.seconds == value).all()
+        seen.add(value)
+        reads += 1
+    for writer in list(writers):
+        done, status = os.waitpid(writer, os.WNOHANG)
+        if done:
+            assert status == 0, status
+            writers.remove(writer)
+assert ScoreBank.load(path, verify=True).tolerance in (2, 3)
+leftovers = [name for name in os.listdir(path.parent) if name != path.name]
+bank(1).save(path)
+assert os.listdir(path.parent) == [path.name], os.listdir(path.parent)
+print("whole", reads > 0)
+"""
+
+
+@pytest.mark.parametrize("way", ["swap", "two renames"])
+def test_28_two_writers_at_once_give_one_result_whole(tmp_path, way):
+    done = run_python(TWO_WRITERS, tmp_path / "bank", way)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "whole True\n"
+
+
+# ---- the command --------------------------------------------------------------------------
+
+
+def test_command_makes_and_shows_a_bank(tmp_path):
+    np.save(tmp_path / "a.npy", np.eye(4))
+    out = tmp_path / "made"
+    made = run_script(
+        "arrays", "--scores", f"A={tmp_path / 'a.npy'}", "--seconds", "A=0.5",
+        "--tolerance", 0, "--out", out,
+    )  # fmt: skip
+    assert (made.returncode, made.stderr) == (0, "")
+    shown = run_script("info", out)
+    assert shown.returncode == 0
+    assert "references  4" in shown.stdout
+    assert shown.stdout.splitlines()[-1].split() == ["A", "0.500000", "1.0000"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["inof", "x"], "did you mean 'info'?"),
+        (["info", "nowhere"], "does not exist; build one with"),
+        (["arrays", "--scores", "A=a.npy", "--seconds", "A=x", "--out", "o"], "'x' is not a num"),
+        (["vprbench", "--mathces", "x"], "required: --matches"),
+    ],
+)
+def test_command_refuses_bad_input_in_one_line(arguments, sentence):
+    done = run_script(*arguments)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert len(done.stderr.splitlines()) == 1
+    assert sentence in done.stderr

@@ -1,0 +1,368 @@
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from amusic_gym.bank import ScoreBank
+from amusic_gym.routes.descriptors import BLOCK, smooth, write_scores
+from amusic_gym.routes.simulate import Simulation, planted, simulate
+from amusic_gym.routes.statistics import MEASURES, describe
+from amusic_gym.routes.world import World, no_repeats, repeated_places
+
+# Everything that could blur what a test looks at, off.
+PLAIN = Simulation(
+    conditions=(1, 1),
+    exclusive=0.0,
+    all_fail=0.0,
+    all_good=0.0,
+    useless=0.0,
+    ability_spread=0.0,
+    ability=(0.8, 0.8),
+    alias_density=0.0,
+    bland_density=0.0,
+    dimensions=(32, 32),
+    smoothness=(3.0, 3.0),
+    shift=(0.3, 0.3),
+)
+
+
+def centres(bank: ScoreBank) -> np.ndarray:
+    """The true place of each frame (Q,)."""
+    matrix = bank.truth.matrix()
+    best = np.arange(bank.references)
+    assert (np.diff(matrix.astype(np.int8), axis=1) == 1).sum(axis=1).max() <= 1  # one interval
+    low, high = matrix.argmax(axis=1), bank.references - 1 - matrix[:, ::-1].argmax(axis=1)
+    tolerance = bank.tolerance
+    return np.where(low > 0, low + tolerance, np.where(high < best[-1], high - tolerance, low))
+
+
+def accuracy(bank: ScoreBank, frames: slice = slice(None)) -> np.ndarray:
+    """Top-1 accuracy of each technique (T,) on some frames."""
+    numbers = np.arange(bank.queries)[frames]
+    return np.array(
+        [bank.truth.correct(rows[frames].argmax(axis=1), numbers).mean() for rows in bank.scores]
+    )
+
+
+def true_z(bank: ScoreBank) -> np.ndarray:
+    """z-score of the true place (T, Q)."""
+    scores = bank.scores.astype(np.float64)
+    z = (scores - scores.mean(axis=2, keepdims=True)) / scores.std(axis=2, keepdims=True)
+    return z[:, np.arange(bank.queries), centres(bank)]
+
+
+@pytest.mark.parametrize("make", [simulate, planted])
+def test_the_same_seed_gives_the_same_bank_and_another_one_another(make: Any) -> None:
+    first, again, other = make(7), make(7), make(8)
+    assert np.array_equal(first.scores, again.scores)
+    assert np.array_equal(first.seconds, again.seconds)
+    assert np.array_equal(first.truth.matrix(), again.truth.matrix())
+    assert first.shape != other.shape or not np.array_equal(first.scores, other.scores)
+
+
+def test_global_random_state_is_neither_used_nor_changed() -> None:
+    np.random.seed(1)
+    before = np.random.get_state()[1].copy()
+    first = simulate(3, queries=40).scores
+    assert np.array_equal(before, np.random.get_state()[1])
+    np.random.seed(2)
+    assert np.array_equal(first, simulate(3, queries=40).scores)
+
+
+def test_shapes_names_and_costs_are_as_asked() -> None:
+    bank = simulate(0, queries=30, references=50, techniques=5)
+    assert bank.shape == (5, 30, 50)
+    assert bank.techniques == ("A", "B", "C", "D", "E")
+    assert bank.scores.dtype == np.float32
+    assert np.isfinite(bank.scores).all()
+    assert ((bank.seconds >= 0.02) & (bank.seconds <= 2.0)).all()
+
+
+@pytest.mark.parametrize("motion", ["steady", "varied"])
+@pytest.mark.parametrize(
+    ("queries", "references", "techniques"), [(1, 1, 1), (1, 7, 26), (3, 3, 2)]
+)
+def test_the_smallest_routes_work(
+    motion: Any, queries: int, references: int, techniques: int
+) -> None:
+    for seed in range(5):
+        bank = simulate(
+            seed, queries=queries, references=references, techniques=techniques, motion=motion
+        )
+        assert bank.shape == (techniques, queries, references)
+
+
+def test_drawn_routes_stay_within_the_ranges() -> None:
+    simulation = Simulation(queries=(20, 30), techniques=(2, 5), map_factor=(1.5, 2.0))
+    banks = [simulation.route(np.random.default_rng(seed)) for seed in range(40)]
+    assert {len(bank.techniques) for bank in banks} == {2, 3, 4, 5}
+    assert all(20 <= bank.queries <= 30 for bank in banks)
+    same = [bank.queries == bank.references for bank in banks]
+    assert 5 < sum(same) < 35
+    assert all(s or 1.4 < b.references / b.queries < 2.1 for s, b in zip(same, banks, strict=True))
+    assert simulation.most_techniques == 5
+
+
+def test_steady_motion_advances_by_one_from_any_start() -> None:
+    starts = set()
+    for seed in range(10):
+        places = centres(simulate(seed, queries=40, references=90))
+        assert (np.diff(places[3:-3]) == 1).all()
+        starts.add(int(places[5]) - 5)
+    assert len(starts) > 5
+    assert centres(simulate(0, queries=40, references=40))[20] == 20
+
+
+def test_varied_motion_stops_hurries_and_jumps_within_the_map() -> None:
+    moves = []
+    for seed in range(20):
+        bank = simulate(seed, queries=300, references=400, motion="varied")
+        moves.extend(np.diff(centres(bank)).tolist())
+    share = {step: moves.count(step) / len(moves) for step in (0, 1, 2)}
+    assert share[0] > 0.05
+    assert share[2] > 0.05
+    assert share[1] > 0.4
+    jumps = np.mean(np.abs(moves) > 10)
+    assert 0.01 < jumps < 0.05
+
+
+def test_varied_motion_without_events_is_steady_until_the_map_ends() -> None:
+    simulation = replace(PLAIN, motion="varied", jump=0.0, speed_change=0.0, queries=(60, 60))
+    bank = replace(simulation, references=500).route(np.random.default_rng(0))
+    assert (np.diff(centres(bank)[3:]) == 1).all()
+
+
+def test_competence_decides_how_far_the_true_place_stands_out() -> None:
+    medians = []
+    for level in (0.0, 0.4, 0.8, 0.98):
+        simulation = replace(PLAIN, ability=(level, level), queries=(200, 200))
+        medians.append(np.median(true_z(simulation.route(np.random.default_rng(5)))))
+    assert abs(medians[0]) < 0.35
+    assert medians[0] + 0.5 < medians[1] < medians[2] - 0.5
+    assert medians[3] > 3.0
+
+
+def test_conditions_change_who_is_good() -> None:
+    changes, quiet = [], []
+    for seed in range(6):
+        varied = replace(
+            PLAIN, conditions=(4, 4), exclusive=1.0, queries=(300, 300), regime_length=(60.0, 60.0)
+        )
+        for simulation, found in ((varied, changes), (PLAIN, quiet)):
+            route = replace(simulation, queries=(300, 300)).route(np.random.default_rng(seed))
+            blocks = true_z(route)[:, :300].reshape(4, 15, 20).mean(axis=2)  # (T, blocks of 20)
+            found.append(np.ptp(blocks, axis=1).mean())
+    assert np.mean(changes) > 2.0 * np.mean(quiet)
+
+
+def test_all_fail_and_all_good_reach_every_technique() -> None:
+    for share, least, most in (("all_fail", -0.5, 1.2), ("all_good", 2.0, 99.0)):
+        route = replace(PLAIN, queries=(200, 200), **{share: 1.0}).route(np.random.default_rng(1))
+        medians = np.median(true_z(route), axis=1)
+        assert (medians > least).all()
+        assert (medians < most).all()
+
+
+def test_costs_span_two_orders_and_follow_ability_a_little() -> None:
+    simulation = Simulation(queries=(2, 2), techniques=(8, 8), cost_follows_ability=0.3)
+    rng = np.random.default_rng(0)
+    ability = np.linspace(0.0, 1.0, 8)
+    costs = np.array([simulation._seconds(rng, ability) for _ in range(800)])
+    assert costs.min() < 0.03
+    assert costs.max() > 1.5
+    logs = np.log10(costs)
+    assert abs(logs.mean() - math.log10(0.2)) < 0.05  # log-uniform: no pull to the centre
+    following = np.mean([np.corrcoef(row, ability)[0, 1] for row in logs])
+    assert 0.15 < following < 0.4
+
+
+def test_aliased_places_look_like_what_they_repeat() -> None:
+    source = repeated_places(np.random.default_rng(0), 200, 3.0, (20, 20))
+    places = np.arange(200)
+    repeats = np.flatnonzero(source != places)
+    assert repeats.size >= 20
+    assert (source[repeats] < repeats).all()
+    shares = []
+    for density in (0.0, 3.0):
+        simulation = replace(
+            PLAIN, alias_density=density, alias_length=(20, 20), aliasing=(1.0, 1.0),
+            queries=(200, 200), same_length=1.0,
+        )  # fmt: skip
+        routes = [simulation.route(np.random.default_rng(seed)) for seed in range(4)]
+        shares.append(np.mean([accuracy(route).mean() for route in routes]))
+    assert shares[1] < shares[0] - 0.1
+
+
+def test_hubs_and_voids_show_in_the_columns() -> None:
+    spread = []
+    for strength in (0.0, 1.5):
+        simulation = replace(
+            PLAIN, bland_density=4.0, bland=(strength, strength), shift=(0.8, 0.8),
+            queries=(200, 200),
+        )  # fmt: skip
+        route = simulation.route(np.random.default_rng(2))
+        none = np.zeros(route.queries, np.int64)
+        spread.append(describe(route, 0, {"mean": none})["hubness"])
+    assert spread[1] > 1.3 * spread[0]
+
+
+def test_a_condition_shifts_whole_rows_and_columns() -> None:
+    queries, references = 400, 300
+    world = World(
+        place=np.arange(queries) % references * 1.0,
+        condition=np.repeat([0, 1], queries // 2),
+        competence=np.full((1, 2), 0.5),
+        source=np.arange(references),
+        bland=np.zeros(references, np.float32),
+    )
+    scores = np.empty((queries, references), np.float32)
+    rows, columns = {}, {}
+    for shift in (0.0, 1.0):
+        look = Simulation(shift=(shift, shift))._look(np.random.default_rng(0))
+        apart = []
+        for seed in range(8):
+            write_scores(np.random.default_rng(seed), world, look, world.competence[0], scores)
+            day, night = scores[: queries // 2], scores[queries // 2 :]
+            spread = scores.std(axis=1).mean()
+            apart.append(
+                [
+                    abs(day.mean() - night.mean()) / spread,
+                    (day - night).mean(axis=0).std() / spread,
+                ]
+            )
+        rows[shift], columns[shift] = np.mean(apart, axis=0)
+    assert rows[1.0] > 2.0 * rows[0.0]
+    assert columns[1.0] > 2.0 * columns[0.0]
+
+
+@pytest.mark.parametrize(("length", "grain"), [(0.0, 0.0), (4.0, 0.0), (4.0, 0.4), (300.0, 0.0)])
+def test_smooth_sequences_have_the_stated_correlation(length: float, grain: float) -> None:
+    rng = np.random.default_rng(0)
+    many = np.stack(
+        [smooth(rng, 3 * BLOCK + 5, 50, length, grain) for _ in range(60)]
+    )  # (60, n, D)
+    steps = many.transpose(1, 0, 2).reshape(3 * BLOCK + 5, -1).astype(np.float64)
+    assert np.allclose(steps.std(axis=1), 1.0, atol=0.06)  # stationary, from the first step on
+    for i, d in ((0, 1), (0, 5), (BLOCK - 1, 1), (BLOCK - 3, 6), (2 * BLOCK, 3)):
+        expected = (1.0 - grain) * math.exp(-d / length) if length else 0.0
+        assert abs(np.corrcoef(steps[i], steps[i + d])[0, 1] - expected) < 0.06
+
+
+@pytest.mark.parametrize("bend", [-0.3, -0.03, 0.0, 0.03, 0.45])
+def test_bending_changes_values_but_no_ranking(bend: float) -> None:
+    simulation = replace(PLAIN, queries=(20, 20), references=60)
+    flat = replace(simulation, bend=(0.0, 0.0)).route(np.random.default_rng(4))
+    bent = replace(simulation, bend=(bend, bend)).route(np.random.default_rng(4))
+    assert np.array_equal(flat.scores.argmax(axis=2), bent.scores.argmax(axis=2))
+    ranks = np.argsort(flat.scores, axis=2)
+    assert (np.diff(np.take_along_axis(bent.scores, ranks, axis=2), axis=2) >= -1e-6).all()
+
+
+def test_planted_one_technique_is_good_at_a_time_and_each_in_its_turn() -> None:
+    for seed, jumps in itertools.product(range(3), (False, True)):
+        bank = planted(seed, jumps=jumps)
+        assert bank.shape == (4, 400, 1000)
+        parts = np.array([accuracy(bank, slice(i, i + 100)) for i in range(0, 400, 100)])
+        good = parts.argmax(axis=1)
+        assert sorted(good) == [0, 1, 2, 3]
+        assert (parts.max(axis=1) > 0.9).all()
+        assert (np.sort(parts, axis=1)[:, :-1] < 0.15).all()
+        assert np.ptp(bank.seconds) < 0.15 * bank.seconds.mean()
+
+
+def test_planted_motion_is_steady_or_jumps_at_every_regime() -> None:
+    assert (np.diff(centres(planted(1))[3:-3]) == 1).all()
+    steps = np.diff(centres(planted(1, jumps=True))[3:-3])
+    assert np.flatnonzero(steps != 1).tolist() == [96, 196, 296]  # three frames are cut off
+
+
+def test_planted_with_more_regimes_than_techniques_never_repeats_at_once() -> None:
+    bank = planted(5, regimes=7, frames_per_regime=30, techniques=3, references=300)
+    good = [int(accuracy(bank, slice(i, i + 30)).argmax()) for i in range(0, 210, 30)]
+    assert sorted(good[:3]) == [0, 1, 2]
+    assert all(a != b for a, b in itertools.pairwise(good))
+
+
+@pytest.mark.parametrize(("length", "kinds"), [(1, 1), (5, 1), (1, 4), (4, 4), (40, 3)])
+def test_no_repeats_uses_all_kinds_first(length: int, kinds: int) -> None:
+    order = no_repeats(np.random.default_rng(0), length, kinds)
+    assert order.shape == (length,)
+    assert len(set(order[:kinds].tolist())) == min(length, kinds)
+    assert kinds == 1 or (np.diff(order) != 0).all()
+
+
+def test_every_measure_is_finite_on_a_simulated_route() -> None:
+    bank = simulate(2, queries=60)
+    places = centres(bank)
+    measured = describe(bank, 1, {"mean": places, "evidence": places})
+    assert set(measured) == set(MEASURES) | {"run_mean"}
+    assert all(math.isfinite(value) for value in measured.values())
+    assert measured["accuracy_mean"] == 1.0
+    assert measured["run_evidence"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [
+        ({"seed": -1}, "seed is -1"),
+        ({"seed": 1.5}, "seed is 1.5"),
+        ({"seed": True}, "seed is True"),
+        ({"seed": 0, "queries": 0}, "queries is 0"),
+        ({"seed": 0, "queries": 2.0}, "queries is 2.0"),
+        ({"seed": 0, "references": 0}, "references is 0"),
+        ({"seed": 0, "queries": 300, "references": 299}, "at least as many places"),
+        ({"seed": 0, "techniques": 0}, "techniques is 0"),
+        ({"seed": 0, "techniques": 27}, "from 1 to 26"),
+        ({"seed": 0, "motion": "stedy"}, "did you mean 'steady'"),
+    ],
+)
+def test_simulate_refuses_bad_arguments(arguments: dict[str, Any], part: str) -> None:
+    with pytest.raises(ValueError, match=part):
+        simulate(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [
+        ({"techniques": 1}, "techniques is 1"),
+        ({"regimes": 0}, "regimes is 0"),
+        ({"frames_per_regime": -5}, "frames_per_regime is -5"),
+        ({"references": 399}, "use at least 400"),
+    ],
+)
+def test_planted_refuses_bad_arguments(arguments: dict[str, Any], part: str) -> None:
+    with pytest.raises(ValueError, match=part):
+        planted(0, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("queries", (10, 5)),
+        ("queries", (1.5, 3)),
+        ("queries", 100),
+        ("techniques", (0, 4)),
+        ("ability", (0.2, 1.2)),
+        ("weak", [0.0, 0.1]),
+        ("shift", (0.0, math.nan)),
+        ("seconds", (0.0, 1.0)),
+        ("smoothness", (-1.0, 2.0)),
+        ("dimensions", (1, 8)),
+        ("map_factor", (0.5, 1.0)),
+        ("regime_length", (0.0, 9.0)),
+        ("useless", 1.1),
+        ("hubs", "many"),
+        ("alias_density", -1.0),
+        ("alias_length", (0, 3)),
+        ("tolerance", -1),
+        ("references", 2.5),
+    ],
+)
+def test_ranges_are_checked_when_they_are_made(name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=name):
+        Simulation(**{name: value})
