@@ -10,6 +10,7 @@ import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 from _cli import Parser, run
@@ -107,14 +108,14 @@ def draw_measures(simulated: Rows, real: Rows, path: Path) -> None:
     """One panel per measure: histogram of the simulated techniques, a line per real one."""
     across = 3
     down = -(-len(MEASURES) // across)
-    with figure_at(path, 10.0, 1.75 * down) as figure:
+    with figure_at(path, 10.0, 1.85 * down) as figure:
         for panel, (key, meaning) in enumerate(MEASURES.items()):
             axes = figure.add_subplot(down, across, panel + 1)
             ours, theirs = column(simulated, key), column(real, key)
             axes.hist(ours, bins=24, color=SIMULATED, alpha=0.75, label="simulated techniques")
             for i, value in enumerate(theirs):
                 axes.axvline(value, color=REAL, lw=1.0, label="" if i else "real techniques")
-            axes.set_title(meaning, fontsize=7.5, color=INK)
+            axes.set_title(fill(meaning, 46), fontsize=7.5, color=INK)
             axes.tick_params(labelsize=7, colors=GREY)
             if panel == 0:
                 axes.legend(fontsize=7)

@@ -205,10 +205,10 @@ def test_hubs_and_voids_show_in_the_columns() -> None:
             PLAIN, bland_density=4.0, bland=(strength, strength), shift=(0.8, 0.8),
             queries=(200, 200),
         )  # fmt: skip
-        route = simulation.route(np.random.default_rng(2))
-        none = np.zeros(route.queries, np.int64)
-        spread.append(describe(route, 0, {"mean": none})["hubness"])
-    assert spread[1] > 1.3 * spread[0]
+        routes = [simulation.route(np.random.default_rng(seed)) for seed in range(4)]
+        spread.append([describe(r, t, {})["hubness"] for r in routes for t in range(4)])
+    assert np.mean(spread[1]) > 1.1 * np.mean(spread[0])
+    assert (np.array(spread[1]) > spread[0]).mean() > 0.7
 
 
 def test_a_condition_shifts_whole_rows_and_columns() -> None:

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from amusic_gym import metrics
 from amusic_gym.plots import labels
-from amusic_gym.plots.drawing import GREY, figure_at, only, percent
+from amusic_gym.plots.drawing import GREY, INK, figure_at, only, percent
 
 if TYPE_CHECKING:
     from amusic_gym.trace import Trace
+
+LINES = {"raw": ":", "subset": "--"}  # policy -> line style, solid for all others
 
 
 def precision_recall(traces: Sequence[Trace], path: str | Path) -> Path:
@@ -35,7 +37,7 @@ def precision_recall(traces: Sequence[Trace], path: str | Path) -> Path:
                 recall,
                 precision,
                 color=colours[_identity(trace)],
-                linestyle={"raw": ":", "single": "-", "subset": "--"}.get(kind, "-"),
+                linestyle="--" if labels.is_variant(trace.policy) else LINES.get(kind, "-"),
                 linewidth=1.3 if kind in (*labels.FIXED, "raw") else 2.2,
                 zorder=2.5 if kind in (*labels.FIXED, "raw") else 3.0,
                 marker="o",
@@ -45,7 +47,7 @@ def precision_recall(traces: Sequence[Trace], path: str | Path) -> Path:
             drawn.append((metrics.area(precision, recall), line, labels.trace_label(trace)))
         drawn.sort(key=lambda entry: -entry[0])
         axes.set(xlim=(0, 1.015), ylim=(0, 1.03), xlabel="Recall", ylabel="Precision")
-        axes.set_title(f"Precision and recall on {bank or 'the bank'}")
+        axes.set_title(f"Precision and recall on {labels.bank_label(bank)}")
         axes.grid()
         figure.legend(
             [line for _, line, _ in drawn],
@@ -78,9 +80,10 @@ def reliability(
         upper.plot(
             table.predicted[held], table.observed[held], "o-", color="#0072B2", label="observed"
         )
-        upper.text(0.03, 0.97, _quality(correct, estimate, bins), va="top", linespacing=1.5)
         upper.set(ylabel="Share of frames that are correct", ylim=(-0.02, 1.02), xlim=(-0.02, 1.02))
-        upper.set_title("SIC-estimated correctness against the truth")
+        upper.set_title("SIC-estimated correctness against the truth", pad=20)
+        quality = _quality(correct, estimate, bins)
+        upper.text(0, 1.02, quality, transform=upper.transAxes, va="bottom", color=INK)
         upper.legend(loc="lower right")
         outcomes = [estimate[correct], estimate[~correct]]
         weights = [np.full(part.size, 1.0 / estimate.size) for part in outcomes]
@@ -114,7 +117,9 @@ def _curve_colours(traces: Sequence[Trace]) -> dict[tuple[str, float | None], An
     for trace in traces:
         kind, _, name = trace.policy.partition(":")
         if trace.compute_weight is not None:
-            weights = sorted(w for p, w in map(_identity, traces) if p == trace.policy and w)
+            weights = sorted(
+                w for p, w in map(_identity, traces) if p == trace.policy and w is not None
+            )
             place = np.searchsorted(weights, trace.compute_weight) / max(1, len(weights) - 1)
             colours[_identity(trace)] = labels.tint(
                 sweeps[trace.policy], 0.45 + 0.55 * float(place)
@@ -139,12 +144,13 @@ def _pooled(traces: Sequence[Trace]) -> tuple[NDArray[np.bool_], NDArray[np.floa
 
 def _quality(correct: NDArray[np.bool_], estimate: NDArray[np.float64], bins: int) -> str:
     ranked = metrics.auroc(correct, estimate)
-    return (
-        f"AUROC {'undefined' if np.isnan(ranked) else f'{ranked:.3f}'}\n"
-        f"Brier score {metrics.brier(correct, estimate):.3f}\n"
-        f"calibration error {metrics.calibration_error(correct, estimate, bins):.3f}\n"
-        f"{correct.size} frames, {correct.mean():.0%} correct"
+    words = (
+        f"AUROC {'undefined' if np.isnan(ranked) else f'{ranked:.3f}'}",
+        f"Brier {metrics.brier(correct, estimate):.3f}",
+        f"calibration error {metrics.calibration_error(correct, estimate, bins):.3f}",
+        f"{correct.size} frames",
     )
+    return "  ·  ".join(words)
 
 
 def _wilson(

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 DOTS_PER_INCH = 160
 INK, GREY = "#222222", "#8A8A8A"
-NOTE_RADII = (5, 11, 18, 27, 38)  # points between a point and the edge of its label
+NOTE_RADII = (7, 12, 19, 28, 39)  # points between a point and the edge of its label
 NOTE_DIRECTIONS = 16
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
@@ -34,6 +34,7 @@ STYLE: dict[Any, Any] = {
     "grid.linewidth": 0.7,
     "hatch.linewidth": 0.6,
     "legend.frameon": False,
+    "legend.handlelength": 2.6,
     "text.parse_math": False,  # names may hold "$"
 }
 
@@ -69,7 +70,7 @@ def only(values: set[str], what: str, given: str) -> str:
 
 def percent(share: float, _: float | None = None) -> str:
     """A share as a tick label (Matplotlib passes the tick's number too)."""
-    return f"{100 * share:.3g} %"
+    return f"{100 * share:.3g}%"
 
 
 def place_notes(
@@ -79,36 +80,54 @@ def place_notes(
     figure.draw_without_rendering()  # lays the axes out, so that data have a place on the page
     figure.set_layout_engine("none")
     to_page: Callable[[Any], NDArray[np.float64]] = axes.transData.transform
-    taken = [to_page(points)] if points else []
+    blocked = _drawn(axes, points)
+    boxes: list[NDArray[np.float64]] = []
+    dot = figure.dpi / 72.0  # pixels per point
+    for x, y, words, colour in _merge(notes, to_page, 9 * dot):
+        note = axes.annotate(
+            words,
+            (x, y),
+            (0, 0),
+            textcoords="offset points",
+            ha="center",
+            va="center",
+            color=colour,
+            fontsize=8,
+            zorder=6,
+            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.5, "shrinkB": 4},
+        )
+        extent = note.get_window_extent()
+        half = np.array([extent.width, extent.height]) / 2.0 + 1.5 * dot
+        home = to_page((x, y))
+        options = []
+        for radius, centre in _places_around(home, half, dot):
+            box = np.array([centre - half, centre + half])
+            cost = _clutter(box, blocked, boxes, axes.get_window_extent().get_points())
+            options.append((cost + 0.6 * radius, radius, box))
+        _, radius, box = min(options, key=lambda option: option[0])
+        boxes.append(box)
+        note.set_position(tuple((box.mean(axis=0) - home) / dot))
+        if note.arrow_patch is not None:  # a note beside its point needs no line to it
+            note.arrow_patch.set_visible(radius > NOTE_RADII[0])
+
+
+def _drawn(axes: Axes, points: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
+    """Pixels (n, 2) that notes should not cover: the points, and the lines in small steps."""
+    taken = [axes.transData.transform(point)[None] for point in points]
     for line in axes.lines:
         path = line.get_transform().transform_path(line.get_path()).interpolated(24)
         taken.append(np.asarray(path.vertices))
-    blocked = np.concatenate(taken) if taken else np.zeros((0, 2))  # (n, 2) pixels to keep free
-    boxes: list[NDArray[np.float64]] = []
-    scale = figure.dpi / 72.0
-    frame = axes.get_window_extent()
-    for x, y, words, colour in _merge(notes, to_page, 9 * scale):
-        note = axes.annotate(
-            words, (x, y), (0, 0), textcoords="offset points", ha="center", va="center",
-            color=colour, fontsize=8, zorder=6,
-            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.5, "shrinkB": 4},
-        )  # fmt: skip
-        note.set_in_layout(False)
-        extent = note.get_window_extent()
-        half = np.array([extent.width, extent.height]) / 2.0 + 1.5 * scale
-        home = to_page((x, y))
-        best: tuple[float, NDArray[np.float64]] | None = None
-        for radius in (5, 11, 18, 27, 38):
-            for angle in np.arange(0, 2 * np.pi, np.pi / 8):
-                towards = np.array([np.cos(angle), np.sin(angle)])
-                centre = home + towards * (radius * scale + half * np.abs(towards))
-                box = np.array([centre - half, centre + half])
-                cost = _clutter(box, blocked, boxes, frame.get_points()) + 0.6 * radius
-                if best is None or cost < best[0]:
-                    best = (cost, centre)
-        assert best is not None
-        boxes.append(np.array([best[1] - half, best[1] + half]))
-        note.set_position(tuple((best[1] - home) / scale))
+    return np.concatenate([np.zeros((0, 2)), *taken])
+
+
+def _places_around(
+    home: NDArray[np.float64], half: NDArray[np.float64], dot: float
+) -> Iterator[tuple[float, NDArray[np.float64]]]:
+    """Centres for a box of half size `half` around a point, nearest first, with their radius."""
+    for radius in NOTE_RADII:
+        for angle in np.arange(NOTE_DIRECTIONS) * (2 * np.pi / NOTE_DIRECTIONS):
+            towards = np.array([np.cos(angle), np.sin(angle)])
+            yield radius, home + towards * (radius * dot + half * np.abs(towards))
 
 
 def _clutter(

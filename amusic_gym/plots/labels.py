@@ -1,7 +1,7 @@
 """How policies and techniques are named and coloured, the same in every figure and page.
 
-Colours are Okabe and Ito's, then Tol's muted set: readers with any common colour vision tell them
-apart. Yellow is left out, it vanishes on white.
+Colours are taken from Okabe and Ito's and Tol's sets, made for every common kind of colour vision;
+their bright yellow is left out, it vanishes on white.
 """
 
 from __future__ import annotations
@@ -16,37 +16,40 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from amusic_gym.trace import Trace
 
-OKABE_ITO = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#6F4E37")
-TOL_MUTED = (
+# Techniques and policies share no colour: both appear in one figure of curves.
+PAPER_COLOURS = {"HOG": "#56B4E9", "CALC": "#E69F00", "CoHOG": "#009E73", "NetVLAD": "#CC79A7"}
+TECHNIQUE_COLOURS = (
+    *PAPER_COLOURS.values(),
     "#332288",
-    "#88CCEE",
-    "#117733",
     "#DDCC77",
-    "#CC6677",
-    "#AA4499",
-    "#44AA99",
-    "#999933",
     "#882255",
+    "#44AA99",
+    "#CC6677",
+    "#777FA0",
+    "#117733",
+    "#88CCEE",
+    "#AA4499",
+    "#8C6D31",
+    "#F0B6C0",
+    "#5A3E9B",
 )
-PALETTE = OKABE_ITO + TOL_MUTED
-PAPER_TECHNIQUES = ("HOG", "CALC", "CoHOG", "NetVLAD")  # these keep their colour in any ensemble
-CORRECT_COLOUR, WRONG_COLOUR, NEUTRAL_COLOUR = "#9ECAE1", "#B2182B", "#BBBBBB"
-SWEEP_COLOURS = ("#D55E00", "#7B3294", "#008837", "#6F4E37")  # one per learned selector
+SWEEP_COLOURS = ("#D55E00", "#7B3294", "#008837", "#A50F15")  # one per learned selector
 POLICY_MARKS = {  # policy -> colour and marker in figures of policies
     "amusic": ("#0072B2", "D"),
     "music": ("#000000", "s"),
-    "cascade": ("#009E73", "^"),
+    "cascade": ("#6F4E37", "^"),
     "random": ("#999999", "v"),
-    "oracle": ("#CC79A7", "*"),
+    "oracle": ("#999933", "*"),
 }
 OTHER_MARK = ("#6F4E37", "P")
+CORRECT_COLOUR, WRONG_COLOUR, NEUTRAL_COLOUR = "#9ECAE1", "#B2182B", "#BBBBBB"
 FIXED = ("single", "subset")  # policies that run the same techniques on every frame
 
 
 def policy_label(policy: str) -> str:
     """A policy's name for a reader: "single:HOG" -> "HOG", "amusic" -> "A-MuSIC"."""
     kind, _, argument = policy.partition(":")
-    names = {"amusic": "A-MuSIC", "music": "MuSIC (all)", "ppo": "selector"}
+    names = {"amusic": "A-MuSIC", "music": "MuSIC", "ppo": "selector"}
     if kind in FIXED and argument:
         return argument
     if kind == "raw" and argument:
@@ -56,6 +59,12 @@ def policy_label(policy: str) -> str:
     if kind == "ppo" and argument:
         return f"selector {PurePath(argument).name}"
     return names.get(kind, kind) + (f" ({argument})" if argument else "")
+
+
+def is_variant(policy: str) -> bool:
+    """Whether it is a variant of a policy that has a mark, such as "amusic:evidence"."""
+    kind, _, argument = policy.partition(":")
+    return kind == "amusic" and bool(argument)
 
 
 def policy_mark(policy: str) -> tuple[str, str]:
@@ -70,8 +79,8 @@ def weight_label(weight: float) -> str:
 
 def technique_colours(techniques: Sequence[str]) -> dict[str, str]:
     """One colour per name; the paper's four always get the same, others the next free in order."""
-    colours = {n: PALETTE[PAPER_TECHNIQUES.index(n)] for n in techniques if n in PAPER_TECHNIQUES}
-    free = [c for c in PALETTE if c not in colours.values()]
+    colours = {n: PAPER_COLOURS[n] for n in techniques if n in PAPER_COLOURS}
+    free = [c for c in TECHNIQUE_COLOURS if c not in colours.values()]
     others = [n for n in techniques if n not in colours]
     colours |= {n: free[i % len(free)] for i, n in enumerate(others)}
     return {name: colours[name] for name in techniques}
@@ -88,6 +97,11 @@ def trace_label(trace: Trace) -> str:
     if trace.compute_weight is not None:
         name += f", {weight_label(trace.compute_weight)}"
     return legend_name(name)
+
+
+def bank_label(bank: str) -> str:
+    """A bank's name as far as a title holds it; a stand-in for an empty one."""
+    return (bank if len(bank) <= 36 else bank[:35] + "…") or "unnamed bank"
 
 
 def legend_name(name: str) -> str:

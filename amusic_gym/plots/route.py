@@ -39,8 +39,15 @@ def selections(traces: Sequence[Trace], path: str | Path) -> Path:
         for axes, trace in zip(panels, traces, strict=True):
             _draw_lanes(axes, trace, colours)
             axes.set_title(_headline(trace), fontsize=9.5)
-        panels[-1].set_xlabel(f"Frame along the route{f' of {bank}' if bank else ''}")
-        figure.legend(handles=_lane_legend(traces), loc="outside lower center", ncols=6)
+            axes.set_title("frames", loc="right", fontsize=8, x=1.045, color=GREY)
+        panels[-1].set_xlabel(f"Frame along the route of {labels.bank_label(bank)}")
+        figure.legend(
+            handles=_lane_legend(traces),
+            loc="outside lower center",
+            ncols=6,
+            handlelength=1.6,
+            columnspacing=1.4,
+        )
     return Path(path)
 
 
@@ -52,7 +59,7 @@ def shares(traces: Sequence[Trace], path: str | Path) -> Path:
     only({trace.policy for trace in traces}, "policy", "traces")
     names = labels.all_techniques(trace.techniques for trace in traces)
     colours = labels.technique_colours(names)
-    with figure_at(path, 7.6, 1.5 + 0.42 * len(traces)) as figure:
+    with figure_at(path, 7.6, max(1.0 + 0.42 * len(traces), 0.4 + 0.2 * len(names))) as figure:
         axes = figure.add_subplot()
         left = np.zeros(len(traces))
         for name in (*names, None):
@@ -67,14 +74,14 @@ def shares(traces: Sequence[Trace], path: str | Path) -> Path:
                 bars, named, label_type="center", color=labels.ink_on(colour), fontsize=8
             )
             left += width
-        axes.set_yticks(range(len(traces)), [trace.bank or "unnamed bank" for trace in traces])
+        axes.set_yticks(range(len(traces)), [labels.bank_label(trace.bank) for trace in traces])
         axes.invert_yaxis()
         axes.set(xlim=(0, 1), xlabel="Share of frames")
         axes.xaxis.set_major_formatter(percent)
         axes.spines["left"].set_visible(False)
         axes.tick_params(axis="y", length=0)
         axes.set_title(f"Which technique {labels.policy_label(traces[0].policy)} trusts")
-        figure.legend(loc="outside lower center", ncols=6)
+        figure.legend(loc="outside right upper", handlelength=1.2)
     return Path(path)
 
 
@@ -97,7 +104,9 @@ def _draw_lanes(axes: Axes, trace: Trace, colours: Mapping[str, str]) -> None:
     ):
         axes.broken_barh(_spans(frames), strip, facecolor=colour, linewidth=0)
     axes.text(1.008, count, f"{trace.correct.mean():.0%}", **_beside(axes), color=INK)
-    axes.vlines(np.flatnonzero(trace.selections) - 0.5, -0.55, count - 0.42, color=INK, lw=1.1)
+    starts = np.flatnonzero(trace.selections) - 0.5
+    width = np.clip(22.0 / max(1, starts.size), 0.35, 1.1)  # many lines would hide the lanes
+    axes.vlines(starts, -0.55, count - 0.42, color=INK, lw=float(width))
     axes.set(ylim=(count + 0.4, -0.6), xlim=(-0.5, trace.queries - 0.5))
     axes.set_yticks(range(count + 1), [*trace.techniques, "correct"])
     axes.tick_params(axis="y", length=0)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from amusic_gym.plots import labels
-from amusic_gym.plots.drawing import GREY, Note, figure_at, only, place_notes
+from amusic_gym.plots.drawing import GREY, Note, figure_at, only, percent, place_notes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,15 +34,16 @@ def front(rows: Sequence[Mapping[str, Any]], path: str | Path) -> Path:
     with figure_at(path, 7.6, 5.2) as figure:
         axes = figure.add_subplot()
         axes.set_xscale("log")
-        notes = _draw_fixed(axes, [p for p in points if _is_fixed(p[2])])
+        notes = _draw_fixed(axes, points)
         notes += _draw_sweeps(axes, [p for p in points if p[2]["compute_weight"] is not None])
         notes += _draw_policies(axes, points)
         _percent_axis(axes, [x for x, _, _ in points])
         axes.set(xlabel=f"Compute: share of running every technique on every frame ({costs} costs)")
         axes.set_ylabel("AUC (precision-recall)")
-        where = "mean over banks" if bank == "mean" else bank or "the bank"
+        where = "mean over banks" if bank == "mean" else labels.bank_label(bank)
         axes.set_title(f"What the compute buys: {where}")
         axes.grid()
+        axes.margins(y=0.1)  # room for labels above the best and below the worst
         if axes.get_legend_handles_labels()[0]:
             figure.legend(loc="outside lower center", ncols=3)
         place_notes(figure, axes, notes, [(x, y) for x, y, _ in points])
@@ -63,21 +64,24 @@ def _is_fixed(row: Mapping[str, Any]) -> bool:
 
 
 def _draw_fixed(axes: Axes, points: Sequence[Point]) -> list[Note]:
-    if not points:
+    subsets = [p for p in points if _is_fixed(p[2])]
+    if not subsets:
         return []
     axes.plot(
-        [x for x, _, _ in points],
-        [y for _, y, _ in points],
+        [x for x, _, _ in subsets],
+        [y for _, y, _ in subsets],
         "o",
         color=labels.NEUTRAL_COLOUR,
-        markersize=5,
+        markersize=5 if len(subsets) < 100 else 3,
         label="fixed subset",
     )
-    best = pareto(points)
+    # MuSIC, the set of all techniques, ends the front; it has a mark and a label of its own.
+    best = pareto([p for p in points if p in subsets or p[2]["policy"] == "music"])
     xs = [x for x, _, _ in best] + [max(1.0, best[-1][0])]
     ys = [y for _, y, _ in best] + [best[-1][1]]
     axes.step(xs, ys, where="post", color=GREY, linewidth=1.2, label="best fixed subset")
     axes.plot(xs[:-1], ys[:-1], "o", color=GREY, markersize=5)
+    best = [p for p in best if _is_fixed(p[2])]
     gains = np.diff([0.0, *(y for _, y, _ in best)])
     named = sorted(np.argsort(-gains, kind="stable")[:MOST_LABELS])
     return [(best[i][0], best[i][1], _row_label(best[i][2]), "#666666") for i in named]
@@ -89,7 +93,7 @@ def _draw_sweeps(axes: Axes, points: Sequence[Point]) -> list[Note]:
         sweep = sorted(
             (p for p in points if p[2]["policy"] == policy), key=lambda p: p[2]["compute_weight"]
         )
-        colour = labels.SWEEP_COLOURS[number % len(labels.SWEEP_COLOURS)]
+        colour = labels.sweep_colour(number)
         axes.plot(
             [x for x, _, _ in sweep],
             [y for _, y, _ in sweep],
@@ -110,8 +114,17 @@ def _draw_policies(axes: Axes, points: Sequence[Point]) -> list[Note]:
         if _is_fixed(row) or row["compute_weight"] is not None:
             continue
         colour, marker = labels.policy_mark(row["policy"])
-        size = 12 if marker == "*" else 8
-        axes.plot(x, y, marker, color=colour, markersize=size, markeredgecolor="white", zorder=5)
+        hollow = labels.is_variant(row["policy"])
+        axes.plot(
+            x,
+            y,
+            marker,
+            markersize=12 if marker == "*" else 8,
+            color="white" if hollow else colour,
+            markeredgecolor=colour if hollow else "white",
+            markeredgewidth=1.8 if hollow else 0.8,
+            zorder=5,
+        )
         notes.append((x, y, _row_label(row), colour))
     return notes
 
@@ -127,4 +140,4 @@ def _percent_axis(axes: Axes, values: Sequence[float]) -> None:
     ticks = [m * 10.0**e for e in range(-8, 2) for m in (1, 2, 5)]
     axes.set_xticks([t for t in ticks if low / 1.35 <= t <= high * 1.35], minor=False)
     axes.minorticks_off()
-    axes.xaxis.set_major_formatter(lambda share, _: f"{100 * share:.3g} %")
+    axes.xaxis.set_major_formatter(percent)

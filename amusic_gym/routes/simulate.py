@@ -124,7 +124,7 @@ class Simulation:
     grain: Range = (0.0, 0.4)
     aliasing: Range = (0.2, 0.95)
     bland: Range = (0.0, 1.5)
-    base: Range = (0.3, 2.5)
+    base: Range = (0.3, 2.0)
     noise_memory: Range = (2.0, 20.0)
     noise_grain: Range = (0.0, 0.5)
     shift: Range = (0.3, 1.5)

@@ -1,0 +1,107 @@
+"""The two protocols for policies, and what a policy may ask of its environment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.names import suggest
+from amusic_gym.settings import COVERAGE
+
+if TYPE_CHECKING:
+    from amusic_gym.bank import ScoreBank
+
+
+@dataclass(frozen=True)
+class Needs:
+    """Arguments of the environment that a selector was made for; None: whatever the user chose.
+
+    Attributes:
+        statistic: SIC's statistic.
+        reselection: M of the re-select bit; None: no such bit.
+        coverage: E of the re-selection.
+        allow_idle: whether an empty action runs nothing.
+        extra: any other arguments of :class:`amusic_gym.task.Task`.
+    """
+
+    statistic: str | None = None
+    reselection: int | None = None
+    coverage: float = COVERAGE
+    allow_idle: bool = False
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+
+@runtime_checkable
+class Selector(Protocol):
+    """Decides which techniques run; the environment does the rest."""
+
+    @property
+    def needs(self) -> Needs:
+        """What the environment must be like."""
+        ...
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Forget the routes of ``mask`` (N,): new episodes begin there."""
+        ...
+
+    def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[Any]:
+        """Choose actions (N, A) from observations (N, D) and the vector environment's infos."""
+        ...
+
+
+Run = Callable[[int], NDArray[np.float32]]
+"""Runs a technique on the current frame: index → score row (R,). Every first call is charged."""
+
+
+@runtime_checkable
+class Localiser(Protocol):
+    """Gives places itself, straight from score rows."""
+
+    def reset(self, references: int, techniques: int) -> None:
+        """Begin a route through a map of R places."""
+        ...
+
+    def locate(self, frame: int, run: Run) -> tuple[int, float]:
+        """Place and confidence of a frame; ``run`` gives the rows it asks for."""
+        ...
+
+
+Policy = Selector | Localiser
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a policy may be built from.
+
+    Attributes:
+        techniques: (T,) names, in the bank's order.
+        seconds: (T,) cost of one run.
+        statistic: SIC's statistic that the user chose.
+        seed: for policies that draw.
+        bank: the whole bank. For bounds that need scores and ground truth; no honest policy does.
+    """
+
+    techniques: tuple[str, ...]
+    seconds: NDArray[np.float64]
+    statistic: str
+    seed: int
+    bank: ScoreBank
+
+    @classmethod
+    def of(cls, bank: ScoreBank, *, statistic: str, seed: int = 0) -> Context:
+        """Context of a bank."""
+        return cls(bank.techniques, bank.seconds, statistic, seed, bank)
+
+    def index(self, name: str) -> int:
+        """Index of a technique.
+
+        Raises:
+            ValueError: for an unknown one, with the nearest suggested.
+        """
+        if name not in self.techniques:
+            raise ValueError(suggest("technique", name, self.techniques))
+        return self.techniques.index(name)

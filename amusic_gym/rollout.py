@@ -1,0 +1,150 @@
+"""Runs policies on banks and records traces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.bank import ScoreBank
+from amusic_gym.policy import Localiser, Policy, Selector
+from amusic_gym.settings import SICSettings
+from amusic_gym.trace import Trace
+
+Progress = Callable[[int], None]
+
+RECORDED = ("prediction", "confidence", "p_correct", "technique", "ran", "idle")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One episode to run: a bank and, for policies that have one, the compute weight λ."""
+
+    bank: ScoreBank
+    compute_weight: float | None = None
+
+
+def rollout(
+    policy: Policy,
+    bank: ScoreBank,
+    *,
+    name: str,
+    statistic: str = SICSettings.statistic,
+    compute_weight: float | None = None,
+) -> Trace:
+    """Run a policy over a whole bank.
+
+    Args:
+        policy: selector or localiser.
+        bank: the route.
+        name: the policy's name in the trace.
+        statistic: SIC's statistic, unless the policy needs its own.
+        compute_weight: λ; None for policies that have none.
+    """
+    return rollouts(policy, [Job(bank, compute_weight)], name=name, statistic=statistic)[0]
+
+
+def rollouts(
+    policy: Policy, jobs: Sequence[Job], *, name: str, statistic: str = SICSettings.statistic
+) -> list[Trace]:
+    """Run a policy on several routes, a selector on all of them at once.
+
+    Raises:
+        ValueError: if a selector was made for another statistic or a bank's score is not finite.
+    """
+    if isinstance(policy, Selector):
+        return _select(policy, jobs, name, statistic)
+    return [_localise(policy, job.bank, name) for job in jobs]
+
+
+def _localise(policy: Localiser, bank: ScoreBank, name: str) -> Trace:
+    """Let a localiser walk through a bank, charging the rows it asks for."""
+    predictions = np.full(bank.queries, -1)
+    confidence = np.zeros(bank.queries)
+    ran = np.zeros((bank.queries, len(bank.techniques)), np.bool_)
+    policy.reset(bank.references, len(bank.techniques))
+    for frame in range(bank.queries):
+
+        def run(technique: int, frame: int = frame) -> NDArray[np.float32]:
+            ran[frame, technique] = True
+            return bank.row(technique, frame)
+
+        predictions[frame], confidence[frame] = policy.locate(frame, run)
+    return Trace.join(
+        bank, predictions=predictions, confidence=confidence, ran=ran, policy=name, statistic="none"
+    )
+
+
+def _select(policy: Selector, jobs: Sequence[Job], name: str, statistic: str) -> list[Trace]:
+    from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+
+    needs = policy.needs
+    statistic = needs.statistic or statistic
+    env = TechniqueSelectionVectorEnv(
+        len(jobs),
+        [job.bank for job in jobs],
+        slots=max(len(job.bank.techniques) for job in jobs),
+        statistic=statistic,
+        reselection=needs.reselection,
+        coverage=needs.coverage,
+        allow_idle=needs.allow_idle,
+        **needs.extra,
+    )
+    weights = np.array([1.0 if j.compute_weight is None else j.compute_weight for j in jobs])
+    options = {"bank": np.arange(len(jobs)), "start": 0, "compute_weight": weights}
+    observation, info = env.reset(options=options)
+    policy.reset(np.ones(len(jobs), np.bool_))
+    recorder = _Recorder(jobs)
+    for frame in range(max(job.bank.queries for job in jobs)):
+        observation, _, _, _, info = env.step(policy.act(observation, info))
+        recorder.record(frame, info)
+    return recorder.traces(name, statistic)
+
+
+class _Recorder:
+    """Collects what the infos say, frame by frame."""
+
+    def __init__(self, jobs: Sequence[Job]) -> None:
+        self.jobs = jobs
+        self.frames: list[Mapping[str, Any]] = []
+
+    def record(self, frame: int, info: Mapping[str, Any]) -> None:
+        kept = {key: info[key] for key in RECORDED}
+        if "selection" in info:
+            kept["late_runs"] = info["selection"]["late_runs"]
+            kept["happened"] = info["selection"]["happened"]
+        self.frames.append(kept)
+
+    def _column(self, key: str, i: int) -> NDArray[Any] | None:
+        if key not in self.frames[0]:
+            return None
+        return np.stack([frame[key][i] for frame in self.frames[: self.jobs[i].bank.queries]])
+
+    def traces(self, name: str, statistic: str) -> list[Trace]:
+        return [self._trace(i, name, statistic) for i in range(len(self.jobs))]
+
+    def _trace(self, i: int, name: str, statistic: str) -> Trace:
+        job = self.jobs[i]
+        techniques = len(job.bank.techniques)
+        late = self._column("late_runs", i)
+        ran = self._column("ran", i)
+        prediction, confidence = self._column("prediction", i), self._column("confidence", i)
+        assert ran is not None
+        assert prediction is not None
+        assert confidence is not None
+        return Trace.join(
+            job.bank,
+            predictions=prediction,
+            confidence=confidence,
+            p_correct=self._column("p_correct", i),
+            chosen=self._column("technique", i),
+            ran=ran[:, :techniques],
+            late_runs=None if late is None else late[:, :techniques],
+            selections=self._column("happened", i),
+            policy=name,
+            statistic=statistic,
+            compute_weight=job.compute_weight,
+        )

@@ -1,0 +1,118 @@
+"""A-MuSIC, the paper's rule (III-C), driving the environment through the re-select bit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import stdtr
+
+from amusic_gym.names import suggest
+from amusic_gym.policy import Context, Needs
+from amusic_gym.settings import BLOCK, COVERAGE, STATISTICS
+
+ALPHA = 0.05
+"""Significance level of the re-selection test (A-MuSIC, III-C2)."""
+
+
+def differ(before: ArrayLike, after: ArrayLike, alpha: float = ALPHA) -> bool:
+    """Whether a paired, two-sided t-test rejects equal means.
+
+    Args:
+        before: (n,) values.
+        after: (n,) values, paired with them.
+        alpha: significance level.
+
+    Returns:
+        False for fewer than two pairs and where all differences are zero; True for a constant
+        other difference.
+    """
+    difference = (np.asarray(after, np.float64) - np.asarray(before, np.float64)).ravel()
+    if difference.size < 2 or not difference.any():
+        return False
+    deviation = difference.std(ddof=1)
+    if deviation == 0.0:
+        return True
+    t = difference.mean() / (deviation / np.sqrt(difference.size))
+    return bool(2.0 * stdtr(difference.size - 1, -abs(t)) < alpha)
+
+
+class AMuSIC:
+    """Runs the techniques of the last selection; selects again when their corrections change.
+
+    Args:
+        statistic: ``"mean"`` is the paper's.
+        block: M, frames of a selection and of a test.
+        coverage: E, share of MuSIC's choices that a selection covers.
+        alpha: significance level of the test.
+    """
+
+    def __init__(
+        self,
+        statistic: str = "mean",
+        block: int = BLOCK,
+        coverage: float = COVERAGE,
+        alpha: float = ALPHA,
+    ) -> None:
+        self.needs = Needs(statistic=statistic, reselection=block, coverage=coverage)
+        self.block = block
+        self.alpha = alpha
+        self._selected = np.zeros((0, 0), np.bool_)  # (N, S)
+        self._before = np.zeros((0, 0, 0))  # (N, S, M) ch: corrections of the block before
+        self._after = np.zeros((0, 0, 0))  # (N, S, M) ĉh: corrections of the running block
+        self._fresh = np.zeros(0, np.bool_)  # (N,) routes that have just begun
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Forget the routes of ``mask``."""
+        if self._fresh.size != mask.size:
+            self._fresh = np.ones(mask.size, np.bool_)
+            self._selected = np.zeros((mask.size, 0), np.bool_)
+        self._fresh |= mask
+
+    def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
+        """The selected techniques (N, S) and the re-select bit."""
+        self._begin(info["present"])
+        self._note(info)
+        reselect = np.array([self._test(i, frame + 1) for i, frame in enumerate(info["frame"])])
+        return np.column_stack([self._selected, reselect])
+
+    def _begin(self, present: NDArray[np.bool_]) -> None:
+        """Let all techniques run on routes that have just begun."""
+        if self._selected.shape != present.shape:
+            self._selected = present.copy()
+            self._before = np.zeros((*present.shape, self.block))
+            self._after = np.zeros((*present.shape, self.block))
+        self._selected[self._fresh] = present[self._fresh]
+        self._fresh[:] = False
+
+    def _note(self, info: Mapping[str, Any]) -> None:
+        """Take in the last frame's corrections and, after a selection, its set and block."""
+        selection = info["selection"]
+        happened = selection["happened"]
+        self._selected[happened] = selection["selected"][happened]
+        self._before[happened] = selection["corrections"][happened]
+        seen = np.flatnonzero(info["frame"] >= 0)
+        self._after[seen, :, info["frame"][seen] % self.block] = info["correction"][seen]
+
+    def _test(self, i: int, frames: int) -> bool:
+        """Whether to select again on route ``i`` now that ``frames`` have been seen."""
+        if frames == 0 or frames % self.block:
+            return False
+        if frames == self.block:
+            return True
+        active = self._selected[i]
+        if differ(self._before[i, active], self._after[i, active], self.alpha):
+            return True
+        self._before[i] = self._after[i]
+        return False
+
+
+def amusic(argument: str | None, context: Context) -> AMuSIC:
+    """``amusic``: the paper's; ``amusic:evidence``: the same rule on the other statistic."""
+    if argument is None:
+        return AMuSIC()
+    if argument not in STATISTICS:
+        raise ValueError(suggest("statistic of amusic", argument, STATISTICS))
+    return AMuSIC(argument)

@@ -1,0 +1,56 @@
+"""Margin cascade: a cheap subset always, the dearer techniques while in doubt."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.policy import Context, Needs
+from baselines.arguments import none
+
+CHEAP = 2
+HOLD = 20
+THRESHOLD = 0.5
+
+
+class Cascade:
+    """Runs the cheapest techniques, and all others for some frames after p̂ falls low.
+
+    The hold is a hysteresis: a technique needs some frames in a row before SIC profits from it.
+
+    Args:
+        cheap: how many techniques always run.
+        hold: frames for which the others run after a doubt.
+        threshold: p̂ below which there is doubt.
+    """
+
+    needs = Needs()
+
+    def __init__(self, cheap: int = CHEAP, hold: int = HOLD, threshold: float = THRESHOLD) -> None:
+        self.cheap = cheap
+        self.hold = hold
+        self.threshold = threshold
+        self._left = np.zeros(0, np.int64)  # (N,) frames for which the dear ones still run
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Forget the doubts of the routes of ``mask``."""
+        if self._left.size != mask.size:
+            self._left = np.zeros(mask.size, np.int64)
+        self._left[mask] = 0
+
+    def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
+        """Cheap subset, and everything while in doubt."""
+        doubt = (info["p_correct"] < self.threshold) & (info["frame"] >= 0)
+        self._left = np.where(doubt, self.hold, np.maximum(self._left - 1, 0))
+        seconds = np.where(info["present"], info["run_seconds"], np.inf)
+        ranks = np.argsort(np.argsort(seconds, axis=1, kind="stable"), axis=1)
+        return ((ranks < self.cheap) | (self._left > 0)[:, None]) & info["present"]
+
+
+def cascade(argument: str | None, context: Context) -> Cascade:
+    """``cascade``: the cheapest two, the others for 20 frames after p̂ falls below 0.5."""
+    none("cascade", argument)
+    return Cascade()
