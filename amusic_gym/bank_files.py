@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from amusic_gym.ground_truth import GroundTruth, whole_number
 FORMAT_VERSION = 1
 MANIFEST, SCORES, TRUTH = "bank.json", "scores.npy", "ground_truth.npz"
 
-_FILES = frozenset((MANIFEST, SCORES, TRUTH))
+FILES = frozenset((MANIFEST, SCORES, TRUTH))
 _READ_ATTEMPTS = 20
 _REBUILD = "copy the bank again or build it anew with scripts/bank.py"
 
@@ -78,7 +79,7 @@ def write(
         The folder's absolute path.
     """
     path = Path(os.path.realpath(path))
-    with storage.replacing_folder(path, MANIFEST, _FILES) as folder:
+    with storage.replacing_folder(path, MANIFEST, FILES) as folder:
         _write_scores(folder / SCORES, scores)
         np.savez(
             folder / TRUTH,
@@ -95,13 +96,7 @@ def write(
             "tolerance": tolerance,
             "queries": truth.queries,
             "references": truth.references,
-            "files": {
-                file: {
-                    "bytes": (folder / file).stat().st_size,
-                    "sha256": storage.sha256(folder / file),
-                }
-                for file in (SCORES, TRUTH)
-            },
+            "files": {file: _size_and_checksum(folder / file) for file in (SCORES, TRUTH)},
         }
         manifest["sha256"] = _checksum(manifest)
         text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
@@ -123,54 +118,42 @@ def read(path: Path, *, verify: bool) -> BankFiles:
     path = Path(os.path.realpath(path))
     storage.restore_folder(path)
     for _ in range(_READ_ATTEMPTS):
-        before = _manifest_bytes(path)
-        failure: Exception | None = None
-        try:
-            files = _read_once(path, before, verify)
-        except (ValueError, FileNotFoundError) as error:
-            failure = error
-        # The same bank.json after as before, and with it the same checksums: no writer came
-        # between, and the three files belong together.
-        if _manifest_bytes(path) == before:
-            if failure is not None:
-                raise failure
-            return files
+        if not (path / MANIFEST).is_file() and not path.is_file():
+            what = f"has no {MANIFEST}, so it is not a bank" if path.is_dir() else "does not exist"
+            raise FileNotFoundError(f"bank {path} {what}; build one with scripts/bank.py")
+        with storage.FolderReader(path) as folder:
+            try:
+                return _read_once(folder, verify)
+            except FileNotFoundError:
+                if not folder.was_replaced():  # else: once more, from the new one
+                    raise
     raise ValueError(f"bank {path} is being rewritten all the time; load it when that is over")
 
 
-def _manifest_bytes(path: Path) -> bytes:
-    if path.exists() and not path.is_dir():
-        raise ValueError(f"{path} is a file; a bank is a folder with {MANIFEST} in it")
-    if not (path / MANIFEST).is_file():
-        what = f"has no {MANIFEST}, so it is not a bank" if path.is_dir() else "does not exist"
-        raise FileNotFoundError(f"bank {path} {what}; build one with scripts/bank.py")
-    return (path / MANIFEST).read_bytes()
-
-
-def _read_once(path: Path, manifest_bytes: bytes, verify: bool) -> BankFiles:
-    manifest = _parse_manifest(path / MANIFEST, manifest_bytes)
+def _read_once(folder: storage.FolderReader, verify: bool) -> BankFiles:
+    path = folder.path
+    with folder.open(MANIFEST) as file:
+        manifest = _parse_manifest(path / MANIFEST, file.read())
     try:
         checksums = {name: str(manifest["files"][name]["sha256"]) for name in (SCORES, TRUTH)}
         techniques = [(str(t["name"]), float(t["seconds"])) for t in manifest["techniques"]]
         shape = (len(techniques), int(manifest["queries"]), int(manifest["references"]))
-        files = BankFiles(
-            path=path,
-            scores=_map_scores(path / SCORES, shape),
-            truth=_read_truth(path / TRUTH, checksums[TRUTH], shape),
-            techniques=techniques,
-            tolerance=whole_number(manifest["tolerance"], "tolerance", at_least=0),
-            name=str(manifest["name"]),
-            source=str(manifest["source"]),
-            costs=str(manifest["costs"]),
-            fingerprint=str(manifest["sha256"]),
+        tolerance = whole_number(manifest["tolerance"], "tolerance", at_least=0)
+        name, source, costs, fingerprint = (
+            str(manifest[key]) for key in ("name", "source", "costs", "sha256")
         )
     except (KeyError, TypeError) as error:
         raise ValueError(
             f"{path / MANIFEST} lacks an entry or has one of another kind ({error}); {_REBUILD}"
         ) from None
-    if verify:
-        _compare(path / SCORES, checksums[SCORES])
-    return files
+    with folder.open(TRUTH) as file:
+        _compare(file, path / TRUTH, checksums[TRUTH])
+        truth = _read_truth(file, path / TRUTH, shape)
+    with folder.open(SCORES) as file:
+        scores = _map_scores(file, path / SCORES, shape)
+        if verify:
+            _compare(file, path / SCORES, checksums[SCORES])
+    return BankFiles(path, scores, truth, techniques, tolerance, name, source, costs, fingerprint)
 
 
 def _parse_manifest(path: Path, content: bytes) -> dict[str, Any]:
@@ -198,6 +181,11 @@ def _checksum(manifest: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
+def _size_and_checksum(path: Path) -> dict[str, Any]:
+    with path.open("rb") as file:
+        return {"bytes": path.stat().st_size, "sha256": storage.sha256(file)}
+
+
 def _write_scores(path: Path, scores: Sequence[NDArray[np.float32]]) -> None:
     header = {
         "descr": np.lib.format.dtype_to_descr(np.dtype("<f4")),
@@ -210,26 +198,26 @@ def _write_scores(path: Path, scores: Sequence[NDArray[np.float32]]) -> None:
             file.write(np.ascontiguousarray(matrix, "<f4").data.cast("B"))
 
 
-def _map_scores(path: Path, shape: tuple[int, int, int]) -> NDArray[np.float32]:
-    with storage.open_file(path) as file:
-        header = storage.read_npy_header(file, path)
-        if header.dtype != np.dtype("<f4") or header.fortran_order:
-            raise ValueError(
-                f"{path} holds {header.dtype} where float32 in C order is expected "
-                f"(pickled objects are never read); {_REBUILD}"
-            )
-        if header.shape != shape or 0 in shape:
-            raise ValueError(
-                f"{path} has shape {header.shape} where {MANIFEST} says {shape}; {_REBUILD}"
-            )
-        mapped = np.memmap(file, header.dtype, "r", header.offset, header.shape)
-    return mapped.view(np.ndarray)
+def _map_scores(
+    file: BufferedReader, path: Path, shape: tuple[int, int, int]
+) -> NDArray[np.float32]:
+    header = storage.read_npy_header(file, path)
+    if header.dtype != np.dtype("<f4") or header.fortran_order:
+        raise ValueError(
+            f"{path} holds {header.dtype} where float32 in C order is expected "
+            f"(pickled objects are never read); {_REBUILD}"
+        )
+    if header.shape != shape or 0 in shape:
+        raise ValueError(
+            f"{path} has shape {header.shape} where {MANIFEST} says {shape}; {_REBUILD}"
+        )
+    return np.memmap(file, header.dtype, "r", header.offset, header.shape).view(np.ndarray)
 
 
-def _read_truth(path: Path, checksum: str, shape: tuple[int, int, int]) -> GroundTruth:
-    _compare(path, checksum)
+def _read_truth(file: BufferedReader, path: Path, shape: tuple[int, int, int]) -> GroundTruth:
+    file.seek(0)
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with np.load(file, allow_pickle=False) as arrays:
             truth = GroundTruth(arrays["indptr"], arrays["places"], arrays["references"].item())
     except Exception as error:  # a damaged zip raises nearly anything
         raise ValueError(f"{path} cannot be read ({error}); {_REBUILD}") from None
@@ -241,6 +229,6 @@ def _read_truth(path: Path, checksum: str, shape: tuple[int, int, int]) -> Groun
     return truth
 
 
-def _compare(path: Path, checksum: str) -> None:
-    if storage.sha256(path) != checksum:
+def _compare(file: BufferedReader, path: Path, checksum: str) -> None:
+    if storage.sha256(file) != checksum:
         raise ValueError(f"{path} is damaged: its checksum differs; {_REBUILD}")

@@ -1,39 +1,75 @@
 """SIC-estimated correctness p̂: a calibrated function of statistic and margin.
 
-The coefficients were fitted on simulated routes only, by ``scripts/calibrate.py``.
+The coefficients were fitted on simulated routes only, by ``scripts/calibrate.py``, and are read
+from ``calibration.json``. The compiled twin of :func:`design` and the logistic function is
+``estimate`` in :mod:`amusic_gym.dynamics`; a test holds the two equal.
 """
 
 from __future__ import annotations
 
 import json
-import math
 from functools import cache
 from importlib.resources import files
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-COEFFICIENTS = 6
-"""Bias, statistic, margin and product where there is a rival; bias and statistic without one."""
+FILE = "calibration.json"
 
 
 @cache
-def _stored() -> dict[str, list[float]]:
-    text = files("amusic_gym").joinpath("calibration.json").read_text(encoding="utf-8")
-    table: dict[str, list[float]] = json.loads(text)["coefficients"]
+def stored() -> dict[str, Any]:
+    """What ``scripts/calibrate.py`` wrote: coefficients per statistic and how they were made."""
+    table: dict[str, Any] = json.loads(files("amusic_gym").joinpath(FILE).read_text("utf-8"))
     return table
 
 
 def coefficients(statistic: str) -> NDArray[np.float64]:
-    """Coefficients (6,) of the calibration for a statistic.
+    """Coefficients (5,) of the calibration for a statistic.
 
-    With s = asinh(statistic) and m = asinh(margin): logit p̂ = b₀ + b₁s + b₂m + b₃sm where the
-    winner has a rival, and b₄ + b₅s where it has none.
+    With s = asinh(statistic) and m = asinh(margin): logit p̂ = b₀ + b₁s + b₂m where the winner
+    has a rival beyond the tolerance, and b₃ + b₄s where it has none.
     """
-    return np.array(_stored()[statistic])
+    entry = stored()["coefficients"][statistic]
+    return np.array([*entry["rival"], *entry["alone"]])
 
 
-def features(statistic: float, margin: float, has_rival: bool) -> NDArray[np.float64]:
-    """The six inputs of the logit, in the order of :func:`coefficients`."""
-    s, m = math.asinh(statistic), math.asinh(margin)
-    return np.array([1.0, s, m, s * m, 0.0, 0.0] if has_rival else [0.0, 0.0, 0.0, 0.0, 1.0, s])
+def design(statistic: ArrayLike, margin: ArrayLike | None) -> NDArray[np.float64]:
+    """Inputs of the logit: (n, 3) with margins, (n, 2) without rivals."""
+    s = np.arcsinh(np.asarray(statistic, np.float64))
+    columns = [np.ones_like(s), s]
+    if margin is not None:
+        columns.append(np.arcsinh(np.asarray(margin, np.float64)))
+    return np.stack(columns, axis=-1)
+
+
+def logistic(logit: NDArray[np.float64]) -> NDArray[np.float64]:
+    """1 / (1 + exp(−logit))."""
+    return 1.0 / (1.0 + np.exp(-np.clip(logit, -30.0, 30.0)))
+
+
+def fit(inputs: NDArray[np.float64], correct: ArrayLike) -> NDArray[np.float64]:
+    """Maximum-likelihood coefficients of a logistic regression, by Newton's method.
+
+    Args:
+        inputs: (n, d) from :func:`design`.
+        correct: (n,) bool.
+
+    Raises:
+        ValueError: if all matches are right or all wrong: nothing can be calibrated on them.
+    """
+    target = np.asarray(correct, np.float64)
+    if target.min() == target.max():
+        raise ValueError("calibration needs right and wrong matches; simulate more routes")
+    weights = np.zeros(inputs.shape[1])
+    ridge = 1e-6 * np.eye(inputs.shape[1])  # keeps separable samples finite
+    for _ in range(100):
+        p = logistic(inputs @ weights)
+        gradient = inputs.T @ (p - target) / target.size + ridge @ weights
+        hessian = (inputs * (p * (1.0 - p))[:, None]).T @ inputs / target.size + ridge
+        step = np.linalg.solve(hessian, gradient)
+        weights -= step
+        if np.abs(step).max() < 1e-10:
+            break
+    return weights

@@ -89,7 +89,7 @@ class Rules(NamedTuple):
     block: int  # M; 0: no re-select bit
     coverage: float  # E
     allow_idle: bool
-    calibration: NDArray[np.float64]  # (6,), see amusic_gym.calibration
+    calibration: NDArray[np.float64]  # (5,), see amusic_gym.calibration
 
 
 class State(NamedTuple):
@@ -298,10 +298,9 @@ def estimate(calibration: Any, statistic: float, margin: float, has_rival: bool)
     """p̂ of a match: see amusic_gym.calibration."""
     s = math.asinh(statistic)
     if has_rival:
-        m = math.asinh(margin)
-        logit = calibration[0] + calibration[1] * s + calibration[2] * m + calibration[3] * s * m
+        logit = calibration[0] + calibration[1] * s + calibration[2] * math.asinh(margin)
     else:
-        logit = calibration[4] + calibration[5] * s
+        logit = calibration[3] + calibration[4] * s
     return 1.0 / (1.0 + math.exp(-min(max(logit, -30.0), 30.0)))
 
 

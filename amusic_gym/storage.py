@@ -95,10 +95,62 @@ def open_file(path: Path) -> BufferedReader:
     return path.open("rb")
 
 
-def sha256(path: Path) -> str:
-    """Checksum of a file as 64 hexadecimal digits."""
-    with open_file(path) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def sha256(file: BufferedReader) -> str:
+    """Checksum of a whole open file as 64 hexadecimal digits."""
+    file.seek(0)
+    return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+class FolderReader:
+    """Opens the files of one folder, the same one even if another takes its name meanwhile.
+
+    Raises:
+        FileNotFoundError: when there is no such folder.
+        ValueError: when it is a file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        if not path.exists():
+            raise FileNotFoundError(f"{path} does not exist; check the name")
+        if not path.is_dir():
+            raise ValueError(f"{path} is a file; give a folder")
+        pinned = os.open in os.supports_dir_fd
+        self._descriptor = os.open(path, os.O_RDONLY) if pinned else None
+
+    def open(self, name: str) -> BufferedReader:
+        """The folder's file ``name``, open for reading.
+
+        Raises:
+            FileNotFoundError: when the folder holds no such file.
+        """
+
+        def opener(name: str, flags: int) -> int:
+            where = name if self._descriptor is not None else os.path.join(self.path, name)
+            return os.open(where, flags, dir_fd=self._descriptor)
+
+        try:
+            return open(name, "rb", opener=opener)
+        except FileNotFoundError:
+            raise FileNotFoundError(f"{self.path / name} does not exist; copy it again") from None
+        except IsADirectoryError:
+            raise ValueError(f"{self.path / name} is a folder; a file is expected") from None
+
+    def was_replaced(self) -> bool:
+        """Whether the folder's name means another folder by now."""
+        if self._descriptor is None:
+            return False
+        try:
+            return not os.path.samestat(os.fstat(self._descriptor), os.stat(self.path))
+        except FileNotFoundError:
+            return True
+
+    def __enter__(self) -> FolderReader:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._descriptor is not None:
+            os.close(self._descriptor)
 
 
 @contextlib.contextmanager

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from amusic_gym.trace import Trace
 
-LEAST_SHARE_NAMED = 0.05  # narrower bar segments carry no number
+LEAST_SHARE_NAMED = 0.06  # narrower bar segments carry no number
 
 
 def selections(traces: Sequence[Trace], path: str | Path) -> Path:
@@ -59,7 +59,7 @@ def shares(traces: Sequence[Trace], path: str | Path) -> Path:
     only({trace.policy for trace in traces}, "policy", "traces")
     names = labels.all_techniques(trace.techniques for trace in traces)
     colours = labels.technique_colours(names)
-    with figure_at(path, 7.6, max(1.0 + 0.42 * len(traces), 0.4 + 0.2 * len(names))) as figure:
+    with figure_at(path, 8.6, max(1.0 + 0.42 * len(traces), 0.4 + 0.2 * len(names))) as figure:
         axes = figure.add_subplot()
         left = np.zeros(len(traces))
         for name in (*names, None):
@@ -71,7 +71,7 @@ def shares(traces: Sequence[Trace], path: str | Path) -> Path:
             bars.set_label(labels.legend_name(name or "none"))
             named = [f"{w:.0%}" if w >= LEAST_SHARE_NAMED else "" for w in width]
             axes.bar_label(
-                bars, named, label_type="center", color=labels.ink_on(colour), fontsize=8
+                bars, named, label_type="center", color=labels.ink_on(colour), fontsize=7.5
             )
             left += width
         axes.set_yticks(range(len(traces)), [labels.bank_label(trace.bank) for trace in traces])

@@ -1,0 +1,128 @@
+"""Compare policies on score banks: a table, results.json, traces and figures.
+
+POLICY: amusic (the paper's), amusic:evidence, music, raw:NAME, single:NAME, subset:A+B, random:P,
+cascade, oracle, ppo:RUN (a folder that train.py wrote). Rows that are finished in DIR already are
+not run again.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from _cli import Parser, run
+
+from amusic_gym.bank import COST_MODELS, ScoreBank
+from amusic_gym.comparison import (
+    COMPUTE_WEIGHTS,
+    MOST_TECHNIQUES,
+    Contestant,
+    all_subsets,
+    check_weights,
+    compare,
+    draw,
+    table,
+)
+from amusic_gym.comparison_files import file_digest
+from amusic_gym.policy import Context, Policy
+from amusic_gym.settings import STATISTICS, SICSettings
+from baselines import make_policy
+
+
+def contestants(args: argparse.Namespace, bank: ScoreBank) -> Sequence[Contestant]:
+    """The policies of the command line on one bank."""
+    specs = [*args.policy, *(all_subsets(bank.techniques) if args.all_subsets else [])]
+    return [_contestant(spec, args) for spec in dict.fromkeys(specs)]
+
+
+def _contestant(spec: str, args: argparse.Namespace) -> Contestant:
+    name, _, folder = spec.partition(":")
+    if name != "ppo":
+        return Contestant(spec, partial(make_policy, spec))
+    if not folder:
+        raise ValueError(
+            "policy 'ppo' needs a trained run, no selector ships yet: train one with "
+            "scripts/train.py --out RUN and write ppo:RUN"
+        )
+    return _learned(spec, Path(folder), args)
+
+
+def _learned(spec: str, folder: Path, args: argparse.Namespace) -> Contestant:
+    from agents.selector import load_selector  # needs PyTorch
+
+    def make(context: Context) -> Policy:
+        selector = load_selector(folder)
+        own = selector.needs.statistic
+        if args.statistic not in (None, own):
+            raise ValueError(
+                f"{folder} was trained with the statistic {own!r} and takes no other; leave out "
+                f"--statistic {args.statistic} or compare it apart"
+            )
+        return selector
+
+    weights = check_weights(args.compute_weight)
+    return Contestant(spec, make, weights, version=_weights_digest(folder))
+
+
+def _weights_digest(folder: Path) -> str:
+    """Checksum of a run's weights, by which its finished rows are known again."""
+    files = sorted(folder.glob("*.safetensors"))
+    return " ".join(f"{file.name} {file_digest(file)}" for file in files)
+
+
+def _parser() -> Parser:
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add = parser.add_argument
+    add("--bank", nargs="+", action="extend", required=True, metavar="BANK", help="folders")
+    add("--policy", nargs="+", action="extend", metavar="POLICY", help="see above")
+    add("--out", type=Path, required=True, metavar="DIR", help="the folder to write")
+    add(
+        "--all-subsets",
+        action="store_true",
+        help=f"add every subset of the techniques, of at most {MOST_TECHNIQUES}",
+    )
+    add(
+        "--compute-weight",
+        nargs="+",
+        type=float,
+        default=COMPUTE_WEIGHTS,
+        metavar="L",
+        help="run ppo once with each λ (default: %(default)s)",
+    )
+    add(
+        "--statistic",
+        choices=STATISTICS,
+        help="of SIC, for all policies but amusic and ppo, which bring their own "
+        f"(default: {SICSettings.statistic})",
+    )
+    add("--costs", choices=COST_MODELS, help="cost model (default: the bank's own)")
+    add("--seed", type=int, default=0, metavar="S", help="for policies that draw (default: 0)")
+    return parser
+
+
+def main() -> None:
+    """Parse the arguments, compare, draw."""
+    parser = _parser()
+    args = parser.parse_args()
+    args.policy = args.policy or []
+    if not args.policy and not args.all_subsets:
+        parser.error("no policy; give --policy, --all-subsets or both")
+    banks = [ScoreBank.load(folder) for folder in args.bank]
+    if args.costs:
+        banks = [bank.with_costs(args.costs) for bank in banks]
+    result = compare(
+        banks,
+        partial(contestants, args),
+        args.out,
+        statistic=args.statistic or SICSettings.statistic,
+        seed=args.seed,
+        report=partial(print, flush=True),
+    )
+    draw(result, args.out)
+    print(f"\n{table(result)}\n\n{args.out / 'results.json'}")
+
+
+if __name__ == "__main__":
+    run(main)

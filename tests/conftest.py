@@ -1,0 +1,28 @@
+"""Banks that many tests share."""
+
+from __future__ import annotations
+
+import golden
+import pytest
+from env_cases import random_bank
+
+from amusic_gym.bank import ScoreBank
+
+
+@pytest.fixture(scope="session")
+def tiny_bank() -> ScoreBank:
+    """The bank that is worked out by hand in `golden`: 3 techniques, 5 queries, 6 places."""
+    return ScoreBank(
+        golden.SCORES,
+        golden.TECHNIQUES,
+        golden.SECONDS,
+        tolerance=golden.TOLERANCE,
+        ground_truth=golden.GROUND_TRUTH,
+        name="tiny",
+    )
+
+
+@pytest.fixture(scope="session")
+def bank() -> ScoreBank:
+    """A small smooth bank with ties: 3 techniques, 40 queries, 60 places."""
+    return random_bank(1)

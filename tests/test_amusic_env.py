@@ -1,0 +1,313 @@
+"""The re-select bit against explicit loops: the paper's rule, and any other use of the bit."""
+
+from __future__ import annotations
+
+import golden
+import numpy as np
+import oracle
+import pytest
+from env_cases import noisy_bank, random_bank
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from amusic_gym.bank import ScoreBank
+from amusic_gym.env import TechniqueSelectionEnv
+from amusic_gym.rollout import Job, rollout, rollouts
+from amusic_gym.settings import STATISTICS
+from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from baselines.amusic import AMuSIC, differ
+
+CLOSE = {"rtol": 1e-9, "atol": 1e-9}
+
+techniques = st.integers(1, 16)
+blocks = st.integers(1, 7)
+shares = st.sampled_from([0.1, 0.3, 0.5, 0.7, 0.9, 1.0])
+
+
+def drive(policy: AMuSIC, banks: list[ScoreBank], **arguments) -> list[list[dict]]:
+    """Infos of the A-MuSIC rule, one list per bank, all banks in one vector environment."""
+    env = TechniqueSelectionVectorEnv(
+        len(banks),
+        banks,
+        slots=max(len(bank.techniques) for bank in banks),
+        statistic=policy.needs.statistic,
+        reselection=policy.needs.reselection,
+        coverage=policy.needs.coverage,
+        **arguments,
+    )
+    observation, info = env.reset(seed=0, options={"bank": np.arange(len(banks))})
+    policy.reset(np.ones(len(banks), np.bool_))
+    infos: list[list[dict]] = [[] for _ in banks]
+    for _ in range(max(bank.queries for bank in banks)):
+        observation, _, _, _, info = env.step(policy.act(observation, info))
+        for i, bank in enumerate(banks):
+            if len(infos[i]) < bank.queries:
+                infos[i].append(route_info(info, i, len(bank.techniques)))
+    return infos
+
+
+def route_info(info: dict, i: int, width: int) -> dict:
+    """What one route's infos say, without masks and empty slots."""
+    chosen = {key: info[key][i] for key in ("prediction", "confidence", "technique", "seconds")}
+    selection = {k: v[i] for k, v in info["selection"].items() if not k.startswith("_")}
+    assert not info["ran"][i][width:].any()
+    assert not selection["late_runs"][width:].any()
+    chosen["ran"] = info["ran"][i][:width].tolist()
+    for key in ("tally", "selected", "late_runs", "corrections"):
+        selection[key] = selection[key][:width]
+    return {**chosen, "selection": selection}
+
+
+def assert_selection(selection: dict, expected: oracle.Selection) -> None:
+    size = len(expected.corrections)
+    assert selection["tally"].tolist() == expected.tally
+    assert np.flatnonzero(selection["selected"]).tolist() == expected.chosen
+    assert selection["late_runs"].tolist() == expected.late_runs
+    corrections = np.transpose(selection["corrections"])
+    np.testing.assert_allclose(corrections[:size], expected.corrections, **CLOSE)
+    assert not corrections[size:].any()
+
+
+def assert_route(infos: list[dict], expected: oracle.Route, seconds) -> None:
+    """Frame by frame the same, and the same cost."""
+    assert [info["prediction"] for info in infos] == expected.predictions
+    confidences = [info["confidence"] for info in infos]
+    np.testing.assert_allclose(confidences, expected.confidences, **CLOSE)
+    assert [info["technique"] for info in infos] == expected.chosen
+    assert [info["ran"] for info in infos] == expected.ran
+    selections = {selection.frame: selection for selection in expected.selections}
+    for frame, info in enumerate(infos):
+        assert info["selection"]["happened"] == (frame in selections)
+        late = np.zeros(len(seconds))
+        if frame in selections:
+            assert_selection(info["selection"], selections[frame])
+            late += selections[frame].late_runs
+        np.testing.assert_allclose(info["seconds"], (late + info["ran"]) @ seconds, **CLOSE)
+    total = sum(info["seconds"] for info in infos)
+    np.testing.assert_allclose(total, np.dot(expected.runs(), seconds), **CLOSE)
+
+
+# ---- the rule ----------------------------------------------------------------------------
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 2**32),
+    st.lists(techniques, min_size=1, max_size=3),
+    st.sampled_from(STATISTICS),
+    blocks,
+    shares,
+    st.sampled_from([0.05, 0.3, 0.8]),
+    st.tuples(st.integers(1, 12), st.sampled_from([3, 1000]), st.sampled_from([1.0, 0.9])),
+)
+def test_rule_is_the_loops(seed, widths, statistic, block, share, alpha, sic):
+    rng = np.random.default_rng(seed)
+    sizes = [(width, *rng.integers(1, 30, 2)) for width in widths]
+    banks = [noisy_bank(rng, *size, levels=rng.integers(2, 9)) for size in sizes]
+    policy = AMuSIC(statistic, block, share, alpha)
+    candidates, history, gamma = sic
+    found = drive(policy, banks, candidates=candidates, history=history, gamma=gamma)
+    for bank, infos in zip(banks, found, strict=True):
+        expected = oracle.amusic(bank.scores, *sic, statistic, block, share, alpha)
+        assert_route(infos, expected, bank.seconds)
+
+
+@pytest.mark.parametrize("statistic", STATISTICS)
+def test_rule_reselects_on_a_smooth_route(statistic):
+    bank = random_bank(4, techniques=5, queries=90, references=100)
+    expected = oracle.amusic(bank.scores, statistic=statistic, alpha=0.3)
+    assert expected.reselections() >= 2
+    assert any(len(selection.chosen) < 5 for selection in expected.selections)
+    [infos] = drive(AMuSIC(statistic, alpha=0.3), [bank])
+    assert_route(infos, expected, bank.seconds)
+
+
+@pytest.mark.parametrize(
+    ("share", "alpha", "expected"),
+    [(0.5, 0.05, golden.AMUSIC_QUIET), (1.0, 0.5, golden.AMUSIC_RESELECTING)],
+)
+def test_rule_on_the_bank_worked_out_by_hand(tiny_bank, share, alpha, expected):
+    policy = AMuSIC("mean", golden.AMUSIC_BLOCK, share, alpha)
+    [infos] = drive(policy, [tiny_bank], candidates=golden.CANDIDATES)
+    assert [info["prediction"] for info in infos] == expected["predictions"]
+    np.testing.assert_allclose([i["confidence"] for i in infos], expected["confidences"], **CLOSE)
+    assert [info["ran"] for info in infos] == [[bool(x) for x in row] for row in expected["ran"]]
+    happened = [
+        (
+            frame,
+            info["selection"]["tally"].tolist(),
+            np.flatnonzero(info["selection"]["selected"]).tolist(),
+            info["selection"]["late_runs"].tolist(),
+        )
+        for frame, info in enumerate(infos)
+        if info["selection"]["happened"]
+    ]
+    assert happened == expected["selections"]
+    shares = sum(info["seconds"] for info in infos) / (5 * sum(golden.SECONDS))
+    np.testing.assert_allclose(shares, expected["compute"], **CLOSE)
+
+
+def test_traces_of_several_routes_are_the_loops():
+    rng = np.random.default_rng(8)
+    banks = [noisy_bank(rng, *size) for size in [(4, 47, 30), (2, 31, 50), (7, 25, 20)]]
+    for policy, statistic in [(AMuSIC(), "mean"), (AMuSIC("evidence"), "evidence")]:
+        together = rollouts(policy, [Job(bank) for bank in banks], name="amusic")
+        for bank, trace in zip(banks, together, strict=True):
+            alone = rollout(policy, bank, name="amusic", statistic="mean")
+            expected = oracle.amusic(bank.scores, statistic=statistic)
+            for found in (trace, alone):
+                assert found.statistic == statistic
+                assert found.predictions.tolist() == expected.predictions
+                assert found.chosen.tolist() == expected.chosen
+                assert found.ran.tolist() == expected.ran
+                np.testing.assert_allclose(found.confidence, expected.confidences, **CLOSE)
+                late = {selection.frame: selection.late_runs for selection in expected.selections}
+                assert np.flatnonzero(found.selections).tolist() == sorted(late)
+                for frame, row in enumerate(found.late_runs.tolist()):
+                    assert row == late.get(frame, [0] * len(row))
+
+
+def test_one_selection_with_one_technique_active_costs_the_others_block():
+    """The paper's arithmetic: (T - 1) * M = 30 extra runs."""
+    bank = random_bank(2, techniques=4)
+    env = TechniqueSelectionEnv(bank, reselection=10)
+    env.reset()
+    for _ in range(10):
+        env.step([0, 0, 1, 0, 0])
+    selection = env.step([0, 0, 0, 0, 1])[4]["selection"]
+    assert selection["late_runs"].tolist() == [10, 10, 0, 10]
+
+
+# ---- the re-selection test ---------------------------------------------------------------
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.sampled_from([0.0, 0.5, 1.0, 1.5]), st.sampled_from([0.0, 0.5, 1.0, 1.5])),
+        max_size=20,
+    ),
+    st.sampled_from([0.05, 0.3, 0.8]),
+)
+def test_39_t_test_is_the_one_of_the_loops(pairs, alpha):
+    before, after = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+    assert differ(before, after, alpha) == (oracle.paired_t_test(before, after) < alpha)
+
+
+@pytest.mark.parametrize("statistic", STATISTICS)
+@pytest.mark.parametrize("gamma", [1.0, 0.9])
+def test_39_a_standing_robot_is_no_change(statistic, gamma):
+    """Equal frames give equal, non-zero corrections; rounding must not look like a change."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        rows = np.repeat(rng.normal(size=(4, 1, 30)), 60, axis=1)
+        bank = ScoreBank(rows, list("ABCD"), np.ones(4), tolerance=1, ground_truth=np.zeros(60, int))
+        expected = oracle.amusic(bank.scores, 10, 5, gamma, statistic)
+        policy = AMuSIC(statistic)
+        [infos] = drive(policy, [bank], candidates=10, history=5, gamma=gamma)
+        assert_route(infos, expected, bank.seconds)
+
+
+# ---- any use of the bit ------------------------------------------------------------------
+
+
+def follow(bank: ScoreBank, actions, block: int, share: float, sic) -> oracle.Route:
+    """What must come of actions with a re-select bit, as explicit loops."""
+    settings = (*sic, oracle.standardise_bank(bank.scores))
+    width = len(bank.techniques)
+    exists = [[False] * width for _ in range(bank.queries)]
+    route = oracle.Route()
+    for q, action in enumerate(actions):
+        active = np.flatnonzero(action[:-1]).tolist()
+        if action[-1] and q > 0:
+            frames = list(range(max(0, q - block), q))
+            route.selections.append(oracle.select(bank.scores, exists, frames, settings, share))
+            active = route.selections[-1].chosen
+        active = active or [int(np.argmin(bank.seconds))]
+        for t in active:
+            exists[q][t] = True
+        result = oracle.music(bank.scores, exists, q, *settings)
+        route.predictions.append(result.place)
+        route.confidences.append(result.confidence)
+        route.chosen.append(result.technique)
+        route.ran.append(list(exists[q]))
+    return route
+
+
+@settings(max_examples=120, deadline=None)
+@given(
+    st.integers(0, 2**32),
+    techniques,
+    blocks,
+    shares,
+    st.tuples(
+        st.integers(1, 12),
+        st.sampled_from([0, 3, 1000]),
+        st.sampled_from([1.0, 0.9]),
+        st.sampled_from(STATISTICS),
+    ),
+    st.floats(0.05, 0.9),
+    st.floats(0.05, 0.6),
+)
+def test_any_use_of_the_bit_is_the_loops(seed, width, block, share, sic, activity, reselect):
+    rng = np.random.default_rng(seed)
+    bank = noisy_bank(rng, width, *rng.integers(1, 25, 2), levels=rng.integers(2, 9))
+    actions = rng.random((bank.queries, width + 1)) < activity
+    actions[:, -1] = rng.random(bank.queries) < reselect
+    candidates, history, gamma, statistic = sic
+    env = TechniqueSelectionEnv(
+        bank,
+        statistic=statistic,
+        candidates=candidates,
+        history=history,
+        gamma=gamma,
+        reselection=block,
+        coverage=share,
+    )
+    env.reset()
+    infos = []
+    for action in actions:
+        info = env.step(action)[4]
+        infos.append({**info, "ran": info["ran"].tolist()})
+    assert_route(infos, follow(bank, actions, block, share, sic), bank.seconds)
+
+
+def test_selections_on_a_route_longer_than_the_room_of_the_sums():
+    rng = np.random.default_rng(5)
+    queries = 1100
+    bank = noisy_bank(rng, 3, queries, 8)
+    actions = rng.random((queries, 4)) < 0.4
+    actions[:, -1] = rng.random(queries) < 0.02
+    env = TechniqueSelectionEnv(bank, reselection=6, history=50, statistic="mean")
+    env.reset()
+    infos = [env.step(action)[4] for action in actions]
+    expected = follow(bank, actions, 6, 0.7, (50, 50, 1.0, "mean"))
+    assert [info["prediction"] for info in infos] == expected.predictions
+    confidences = [info["confidence"] for info in infos]
+    np.testing.assert_allclose(confidences, expected.confidences, **CLOSE)
+
+
+def test_late_runs_leave_earlier_predictions_as_they_were():
+    bank = random_bank(6)
+    env = TechniqueSelectionEnv(bank, reselection=5)
+    env.reset()
+    first = [env.step([1, 0, 0, 0])[4] for _ in range(5)]
+    kept = [dict(info) for info in first]
+    env.step([0, 0, 0, 1])
+    assert [info["prediction"] for info in first] == [info["prediction"] for info in kept]
+    env.reset()
+    again = [env.step([1, 0, 0, 0])[4]["prediction"] for _ in range(5)]
+    assert again == [info["prediction"] for info in first]
+
+
+def test_block_beyond_the_start_selects_over_the_frames_there_are():
+    bank = random_bank(6)
+    env = TechniqueSelectionEnv(bank, reselection=50)
+    env.reset()
+    selection = env.step([1, 0, 0, 1])[4]["selection"]
+    assert not selection["happened"]  # nothing to select from: the other bits hold
+    selection = env.step([0, 0, 0, 1])[4]["selection"]
+    assert selection["happened"]
+    assert selection["late_runs"].tolist() == [0, 1, 1]
+    assert selection["tally"].sum() == 1
+    assert selection["corrections"].shape == (3, 50)
