@@ -1,0 +1,1 @@
+"""Learned selectors: Stable-Baselines3 on the native vector environment."""

@@ -1,0 +1,134 @@
+"""The native vector environment as Stable-Baselines3 wants it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
+
+from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+
+
+class SB3VecEnv(VecEnv):
+    """Wraps a vector environment with SAME_STEP autoreset; Stable-Baselines3 takes no other.
+
+    The infos hold what Stable-Baselines3 reads (``terminal_observation``,
+    ``TimeLimit.truncated``, ``episode``) and ``reward_terms`` of the ended episodes, so that the
+    hot path builds no dictionary for the other routes.
+
+    Args:
+        env: a :class:`~amusic_gym.vector_env.TechniqueSelectionVectorEnv`.
+
+    Raises:
+        ValueError: for another autoreset mode.
+    """
+
+    def __init__(self, env: TechniqueSelectionVectorEnv) -> None:
+        if env.autoreset_mode is not AutoresetMode.SAME_STEP:
+            raise ValueError(
+                f"autoreset mode {env.autoreset_mode.value!r}: Stable-Baselines3 needs"
+                f" autoreset_mode='SameStep'"
+            )
+        self.env = env
+        self.render_mode = env.render_mode
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        self._actions: NDArray[Any] = np.zeros(0)
+        self._returns = np.zeros(env.num_envs)
+        self._lengths = np.zeros(env.num_envs, np.int64)
+        self._terms: dict[str, NDArray[np.float64]] = {}
+
+    def reset(self) -> NDArray[np.float32]:
+        """Begin an episode on every route, with the seeds and options set before."""
+        seeds = self._seeds if any(seed is not None for seed in self._seeds) else None
+        options = self._merged_options()
+        observation, _ = self.env.reset(seed=seeds, options=options)
+        self._returns[:] = 0.0
+        self._lengths[:] = 0
+        self._terms.clear()
+        self._reset_seeds()
+        self._reset_options()
+        return observation
+
+    def _merged_options(self) -> dict[str, Any] | None:
+        """One entry per route of every option that all routes have."""
+        if not any(self._options):
+            return None
+        names = set(self._options[0])
+        if any(set(options) != names for options in self._options):
+            raise ValueError("options must name the same things for every route")
+        return {name: np.array([o[name] for o in self._options]) for name in names}
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Keep the actions for :meth:`step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step every route; ended ones begin anew."""
+        observation, rewards, terminated, truncated, info = self.env.step(self._actions)
+        done = terminated | truncated
+        self._returns += rewards
+        self._lengths += 1
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        terms = info["final_info"]["reward_terms"] if done.any() else info["reward_terms"]
+        self._sum_terms(terms, info["reward_terms"], done)
+        for i in np.flatnonzero(done):
+            infos[i] = self._ended(int(i), info["final_obs"][i], bool(truncated[i]))
+        return observation, rewards.astype(np.float32), done, infos
+
+    def _sum_terms(self, final: dict[str, Any], running: dict[str, Any], done: Any) -> None:
+        for name, values in running.items():
+            if not name.startswith("_"):
+                total = self._terms.setdefault(name, np.zeros(self.num_envs))
+                total += np.where(done, final[name], values)
+
+    def _ended(self, i: int, final: NDArray[np.float32], truncated: bool) -> dict[str, Any]:
+        length = int(self._lengths[i])
+        ended = {
+            "terminal_observation": final,
+            "TimeLimit.truncated": truncated,
+            "episode": {"r": float(self._returns[i]), "l": length, "t": 0.0},
+            "reward_terms": {name: float(v[i]) / length for name, v in self._terms.items()},
+        }
+        self._returns[i] = 0.0
+        self._lengths[i] = 0
+        for values in self._terms.values():
+            values[i] = 0.0
+        return ended
+
+    def close(self) -> None:
+        """Close the wrapped environment."""
+        self.env.close()
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """An attribute of the wrapped environment, once per route."""
+        return [getattr(self.env, attr_name)] * len(self._indices(indices))
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute of the wrapped environment, which all routes share."""
+        setattr(self.env, attr_name, value)
+
+    def env_method(
+        self,
+        method_name: str,
+        *method_args: Any,
+        indices: VecEnvIndices = None,
+        **method_kwargs: Any,
+    ) -> list[Any]:
+        """Call a method of the wrapped environment once."""
+        result = getattr(self.env, method_name)(*method_args, **method_kwargs)
+        return [result] * len(self._indices(indices))
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None
+    ) -> list[bool]:
+        """Routes of a native vector environment have no wrappers of their own."""
+        return [False] * len(self._indices(indices))
+
+    def _indices(self, indices: VecEnvIndices) -> Sequence[int]:
+        return list(self._get_indices(indices))

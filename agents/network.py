@@ -1,0 +1,138 @@
+"""The selector's network: shared by all techniques, so that it fits any number and order of them.
+
+Each technique's group of the observation, joined with the route's group, goes through one encoder;
+the encodings are pooled over the techniques that are present; one head gives each technique's
+logit from its own encoding and the pool, another the value. Permuting the techniques permutes the
+actions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from stable_baselines3.common.policies import ActorCriticPolicy
+from torch import nn
+
+from amusic_gym.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
+
+VERSION = 1
+"""Rises whenever stored weights would mean something else."""
+
+WIDTH = len(TECHNIQUE_FEATURES)
+ROUTE_WIDTH = len(ROUTE_FEATURES)
+ABSENT = -20.0
+"""Logit of an empty slot."""
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Sizes of the network.
+
+    Attributes:
+        hidden: width of the hidden layers.
+        encoding: length of a technique's encoding.
+        first_logit: logit that every technique starts with.
+    """
+
+    hidden: int = 64
+    encoding: int = 32
+    first_logit: float = 0.0
+
+
+class SelectorNetwork(nn.Module):
+    """Logits (B, S) and values (B, V) from observations (B, S · F + G)."""
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.latent_dim_pi = 0  # set by the policy: S
+        self.latent_dim_vf = config.hidden
+        hidden, code = config.hidden, config.encoding
+        self.encoder = nn.Sequential(
+            nn.Linear(WIDTH + ROUTE_WIDTH, hidden), nn.ReLU(), nn.Linear(hidden, code), nn.ReLU()
+        )
+        pooled = 2 * code + ROUTE_WIDTH
+        self.head = nn.Sequential(
+            nn.Linear(code + pooled, hidden), nn.ReLU(), nn.Linear(hidden, 1)
+        )
+        self.critic = nn.Sequential(
+            nn.Linear(pooled, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU()
+        )
+        for module in self.modules():
+            if isinstance(module, nn.Linear):
+                nn.init.orthogonal_(module.weight, np.sqrt(2.0))
+                nn.init.zeros_(module.bias)
+        last = self.head[-1]
+        assert isinstance(last, nn.Linear)
+        nn.init.orthogonal_(last.weight, 0.01)
+        nn.init.constant_(last.bias, config.first_logit)
+
+    def encode(
+        self, observation: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Encodings (B, S, E), pool (B, P) and presence (B, S)."""
+        groups = observation[:, :-ROUTE_WIDTH].unflatten(1, (-1, WIDTH))  # (B, S, F)
+        route = observation[:, -ROUTE_WIDTH:]  # (B, G)
+        present = groups[:, :, 0]  # (B, S)
+        spread = route.unsqueeze(1).expand(-1, groups.shape[1], -1)  # (B, S, G)
+        codes = self.encoder(torch.cat([groups, spread], dim=2))  # (B, S, E)
+        weight = present.unsqueeze(2)
+        mean = (codes * weight).sum(1) / weight.sum(1).clamp(min=1.0)
+        highest = (codes * weight).amax(1)  # ReLU keeps codes at 0 or above
+        return codes, torch.cat([mean, highest, route], dim=1), present
+
+    def logits(self, observation: torch.Tensor) -> torch.Tensor:
+        """(B, S) logits of running each technique."""
+        return self._logits(*self.encode(observation))
+
+    def _logits(
+        self, codes: torch.Tensor, pool: torch.Tensor, present: torch.Tensor
+    ) -> torch.Tensor:
+        spread = pool.unsqueeze(1).expand(-1, codes.shape[1], -1)  # (B, S, P)
+        logits = self.head(torch.cat([codes, spread], dim=2)).squeeze(2)
+        return torch.where(present > 0.5, logits, torch.full_like(logits, ABSENT))
+
+    def forward(self, observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Logits (B, S) and the critic's features (B, V)."""
+        codes, pool, present = self.encode(observation)
+        return self._logits(codes, pool, present), self.critic(pool)
+
+    def forward_actor(self, observation: torch.Tensor) -> torch.Tensor:
+        """Logits (B, S)."""
+        return self.logits(observation)
+
+    def forward_critic(self, observation: torch.Tensor) -> torch.Tensor:
+        """The critic's features (B, V)."""
+        features: torch.Tensor = self.critic(self.encode(observation)[1])
+        return features
+
+
+class SelectorPolicy(ActorCriticPolicy):
+    """Stable-Baselines3's actor-critic policy around :class:`SelectorNetwork`."""
+
+    def __init__(
+        self,
+        observation_space: gym.Space,
+        action_space: gym.Space,
+        lr_schedule: Any,
+        config: NetworkConfig | None = None,
+        **arguments: Any,
+    ) -> None:
+        self.config = config or NetworkConfig()
+        super().__init__(observation_space, action_space, lr_schedule, **arguments)
+
+    def _build_mlp_extractor(self) -> None:
+        self.mlp_extractor = SelectorNetwork(self.config)  # type: ignore[assignment]
+        self.mlp_extractor.latent_dim_pi = self.action_space.shape[0]  # type: ignore[index]
+
+    def _build(self, lr_schedule: Any) -> None:
+        self._build_mlp_extractor()
+        self.action_net = nn.Identity()  # the extractor gives the logits themselves
+        self.value_net = nn.Linear(self.mlp_extractor.latent_dim_vf, 1)
+        self.value_net.apply(partial(self.init_weights, gain=1.0))
+        rate = lr_schedule(1)
+        self.optimizer = self.optimizer_class(self.parameters(), lr=rate, **self.optimizer_kwargs)  # type: ignore[call-arg]
