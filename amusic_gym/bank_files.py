@@ -118,9 +118,6 @@ def read(path: Path, *, verify: bool) -> BankFiles:
     path = Path(os.path.realpath(path))
     storage.restore_folder(path)
     for _ in range(_READ_ATTEMPTS):
-        if not (path / MANIFEST).is_file() and not path.is_file():
-            what = f"has no {MANIFEST}, so it is not a bank" if path.is_dir() else "does not exist"
-            raise FileNotFoundError(f"bank {path} {what}; build one with scripts/bank.py")
         with storage.FolderReader(path) as folder:
             try:
                 return _read_once(folder, verify)
@@ -132,8 +129,13 @@ def read(path: Path, *, verify: bool) -> BankFiles:
 
 def _read_once(folder: storage.FolderReader, verify: bool) -> BankFiles:
     path = folder.path
-    with folder.open(MANIFEST) as file:
-        manifest = _parse_manifest(path / MANIFEST, file.read())
+    try:
+        with folder.open(MANIFEST) as file:
+            manifest = _parse_manifest(path / MANIFEST, file.read())
+    except FileNotFoundError:
+        raise FileNotFoundError(
+            f"{path} has no {MANIFEST}, so it is not a whole bank; {_REBUILD}"
+        ) from None
     try:
         checksums = {name: str(manifest["files"][name]["sha256"]) for name in (SCORES, TRUTH)}
         techniques = [(str(t["name"]), float(t["seconds"])) for t in manifest["techniques"]]

@@ -44,7 +44,7 @@ class Contestant:
         name: of the policy in tables and files.
         make: builds it, afresh for every row.
         compute_weights: the λ that it is run with, one row each; None: it has no such thing.
-        version: what decides about its behaviour besides its name, as the digest of its weights.
+        version: what its behaviour depends on besides its name: a digest of its weights or code.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Comparison:
     Attributes:
         traces: in the order of the banks, then of the policies.
         rows: of ``results.json``, in the same order.
-        mean: the rows averaged over banks.
+        mean: the rows averaged over banks, of those (policy, λ, statistic) that every bank has.
     """
 
     traces: list[Trace]
@@ -131,7 +131,7 @@ def compare(
         traces.append(trace)
         rows.append(metrics.summarise(trace))
         report(f"[{number}/{len(entries)}] {_line(rows[-1])}{' (was finished)' if kept else ''}")
-    mean = metrics.mean_rows(rows)
+    mean = metrics.mean_rows(_shared(rows))
     comparison_files.save_results(out / RESULTS, rows, mean)
     return Comparison(traces, rows, mean)
 
@@ -158,6 +158,7 @@ def _entries(
     """The rows of one bank; builds each policy once to see that it can be built."""
     context = Context.of(bank, statistic=statistic, seed=seed)
     identity = comparison_files.bank_identity(bank)
+    code = comparison_files.code_digest(Path(__file__).parent)
     entries = []
     for contestant in dict.fromkeys(contestants(bank)):
         policy = contestant.make(context)
@@ -173,6 +174,7 @@ def _entries(
                 "costs": bank.costs,
                 "seed": seed,
                 "package_version": __version__,
+                "package_code": code,
             }
             entries.append(_Entry(contestant, context, weight, key))
     return entries
@@ -262,7 +264,7 @@ COLUMNS = ("accuracy", "auc", "auc_vprbench", "ptr", "compute", "reselections", 
 def table(comparison: Comparison) -> str:
     """The rows as text, a block per bank, and their mean where there are several banks."""
     blocks = [_block(bank, rows) for bank, rows in _by_bank(comparison.rows).items()]
-    if len(blocks) > 1:
+    if len(blocks) > 1 and comparison.mean:
         blocks.append(_block(f"mean over {len(blocks)} banks", comparison.mean))
     return "\n\n".join(blocks)
 
@@ -292,6 +294,13 @@ def _line(row: dict[str, Any]) -> str:
     return (
         f"{row['bank']} {row['policy']}{weight}: auc {row['auc']:.4f}, compute {row['compute']:.4f}"
     )
+
+
+def _shared(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows whose like every bank has: a mean over other banks could not be compared."""
+    keys = [(row["policy"], row["compute_weight"], row["statistic"]) for row in rows]
+    banks = len({row["bank"] for row in rows})
+    return [row for row, key in zip(rows, keys, strict=True) if keys.count(key) == banks]
 
 
 def _by_bank(rows: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:

@@ -41,6 +41,15 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def code_digest(package: Path) -> str:
+    """Digest of a package's source and data: what its results depend on besides their input."""
+    digest = hashlib.sha256()
+    files = [file for kind in ("*.py", "*.json") for file in package.rglob(kind)]
+    for file in sorted(files):
+        digest.update(f"{file.relative_to(package).as_posix()} {file_digest(file)}\n".encode())
+    return digest.hexdigest()
+
+
 def row_path(folder: Path, key: Key) -> Path:
     """Where the row of a key is kept: it changes with anything that may change the row."""
     return folder / f"{_digest(key)[:20]}.json"

@@ -111,12 +111,16 @@ class FolderReader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        if not path.exists():
-            raise FileNotFoundError(f"{path} does not exist; check the name")
-        if not path.is_dir():
-            raise ValueError(f"{path} is a file; give a folder")
-        pinned = os.open in os.supports_dir_fd
-        self._descriptor = os.open(path, os.O_RDONLY) if pinned else None
+        self._descriptor: int | None = None
+        try:
+            if os.open in os.supports_dir_fd:
+                self._descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+            else:
+                os.listdir(path)
+        except FileNotFoundError:
+            raise FileNotFoundError(f"{path} does not exist; check the name") from None
+        except NotADirectoryError:
+            raise ValueError(f"{path} is a file; give a folder") from None
 
     def open(self, name: str) -> BufferedReader:
         """The folder's file ``name``, open for reading.

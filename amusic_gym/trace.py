@@ -81,35 +81,18 @@ class Trace:
 
         Left out: `p_correct` is nan, `chosen` -1, `late_runs` 0 and `selections` False throughout.
         """
-        queries, techniques = bank.queries, len(bank.techniques)
-        predicted = _typed("predictions", predictions, np.int64, (queries,))
+        per_frame, per_run = (bank.queries,), (bank.queries, len(bank.techniques))
+        predicted = _typed("predictions", predictions, np.int64, per_frame)
         return cls(
             techniques=tuple(bank.techniques),
-            seconds=np.asarray(bank.seconds, dtype=np.float64),
+            seconds=bank.seconds,
             predictions=predicted,
-            confidence=_typed("confidence", confidence, np.float64, (queries,)),
-            p_correct=_typed(
-                "p_correct",
-                np.full(queries, np.nan) if p_correct is None else p_correct,
-                np.float64,
-                (queries,),
-            ),
-            chosen=_typed(
-                "chosen", np.full(queries, -1) if chosen is None else chosen, np.int64, (queries,)
-            ),
-            ran=_typed("ran", ran, np.bool_, (queries, techniques)),
-            late_runs=_typed(
-                "late_runs",
-                np.zeros((queries, techniques), np.int64) if late_runs is None else late_runs,
-                np.int64,
-                (queries, techniques),
-            ),
-            selections=_typed(
-                "selections",
-                np.zeros(queries, bool) if selections is None else selections,
-                np.bool_,
-                (queries,),
-            ),
+            confidence=np.asarray(confidence),
+            p_correct=np.full(per_frame, np.nan) if p_correct is None else np.asarray(p_correct),
+            chosen=np.full(per_frame, -1) if chosen is None else np.asarray(chosen),
+            ran=np.asarray(ran),
+            late_runs=np.zeros(per_run, np.int64) if late_runs is None else np.asarray(late_runs),
+            selections=np.zeros(per_frame, bool) if selections is None else np.asarray(selections),
             correct=bank.truth.correct(predicted),
             has_place=bank.truth.has_place,
             error=bank.truth.distance(predicted),

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from _cli import Parser, run
 
+import baselines
 from amusic_gym.bank import COST_MODELS, ScoreBank
 from amusic_gym.comparison import (
     COMPUTE_WEIGHTS,
@@ -25,10 +26,12 @@ from amusic_gym.comparison import (
     draw,
     table,
 )
-from amusic_gym.comparison_files import file_digest
+from amusic_gym.comparison_files import code_digest, file_digest
 from amusic_gym.policy import Context, Policy
 from amusic_gym.settings import STATISTICS, SICSettings
 from baselines import make_policy
+
+BASELINES = Path(baselines.__file__).parent
 
 
 def contestants(args: argparse.Namespace, bank: ScoreBank) -> Sequence[Contestant]:
@@ -40,7 +43,7 @@ def contestants(args: argparse.Namespace, bank: ScoreBank) -> Sequence[Contestan
 def _contestant(spec: str, args: argparse.Namespace) -> Contestant:
     name, _, folder = spec.partition(":")
     if name != "ppo":
-        return Contestant(spec, partial(make_policy, spec))
+        return Contestant(spec, partial(make_policy, spec), version=code_digest(BASELINES))
     if not folder:
         raise ValueError(
             "policy 'ppo' needs a trained run, no selector ships yet: train one with "

@@ -162,9 +162,11 @@ def test_23_scores_of_another_shape_than_bank_json_says_are_refused(saved):
 
 
 def test_23_what_is_no_bank_at_all_is_refused(tmp_path):
-    with pytest.raises(FileNotFoundError, match="does not exist; build one with"):
+    with pytest.raises(FileNotFoundError, match="none does not exist; check the name"):
         ScoreBank.load(tmp_path / "none")
-    with pytest.raises(FileNotFoundError, match="has no bank.json, so it is not a bank"):
+    with pytest.raises(
+        FileNotFoundError, match="has no bank.json, so it is not a whole bank; copy"
+    ):
         ScoreBank.load(tmp_path)
     (tmp_path / "file").write_text("x")
     with pytest.raises(ValueError, match="file is a file; give a folder"):
@@ -409,7 +411,7 @@ def test_command_makes_and_shows_a_bank(tmp_path):
     ("arguments", "sentence"),
     [
         (["inof", "x"], "did you mean 'info'?"),
-        (["info", "nowhere"], "does not exist; build one with"),
+        (["info", "nowhere"], "nowhere does not exist; check the name"),
         (["arrays", "--scores", "A=a.npy", "--seconds", "A=x", "--out", "o"], "'x' is not a num"),
         (["vprbench", "--mathces", "x"], "required: --matches"),
     ],
@@ -420,3 +422,21 @@ def test_command_refuses_bad_input_in_one_line(arguments, sentence):
     assert done.stdout == ""
     assert len(done.stderr.splitlines()) == 1
     assert sentence in done.stderr
+
+
+INTERRUPTED = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import _cli
+
+def main():
+    raise KeyboardInterrupt
+
+_cli.run(main)
+"""
+
+
+def test_34_command_ends_with_130_on_ctrl_c():
+    done = run_python(INTERRUPTED, ROOT / "scripts")
+    assert done.returncode == 130
+    assert done.stderr.splitlines() == ["interrupted; what was finished is kept"]

@@ -1,0 +1,67 @@
+"""Compiled loops that the bench times: the package's own SIC over many routes, and plain streams.
+
+The functions called are those that the environment calls; only the loops around them are here.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from amusic_gym._compile import compiled
+from amusic_gym.sic import first_best, push, score_candidates, top_at, weigh
+
+
+@compiled
+def correct_routes(
+    sums: Any,
+    marks: Any,
+    runs: Any,
+    ran: Any,
+    weights: Any,
+    squares: Any,
+    values: Any,
+    frame: int,
+    history: int,
+    places: Any,
+    statistics: Any,
+) -> None:
+    """One SIC correction on each of N routes at ``frame``, statistic `evidence`, γ = 1.
+
+    Args:
+        sums: (N, R + SLACK) float64.
+        marks: (N,) SUMS records.
+        runs: (N,) RUN records; their rows are prepared.
+        ran: (N, Q) uint8.
+        weights: (N, Q + 1) float64 prefix weights.
+        squares: (N, Q + 1) float64 prefix squared weights.
+        values: (K,) float64 scratch.
+        frame: frame index.
+        history: F.
+        places: (N,) int64, to fill with the corrected matches.
+        statistics: (N,) float64, to fill with their statistics.
+    """
+    for i in range(places.size):
+        ran[i, frame] = 1
+        weigh(weights[i], squares[i], ran[i], frame, frame + 1, 1.0)
+        push(sums[i], marks[i], runs[i], ran[i], frame, history, 1.0)
+        top = top_at(runs[i], frame)
+        score_candidates(sums[i], marks[i], top, squares[i], frame, history, 1.0, True, values)
+        winner = first_best(values, top.size)
+        places[i] = top[winner]
+        statistics[i] = values[winner]
+
+
+@compiled
+def push_routes(sums: Any, marks: Any, runs: Any, ran: Any, frame: int, history: int) -> None:
+    """Only the accumulator's part of :func:`correct_routes`: add the frame's row of N routes."""
+    for i in range(marks.size):
+        push(sums[i], marks[i], runs[i], ran[i], frame, history, 1.0)
+
+
+@compiled
+def stream(rows: Any, windows: Any) -> None:
+    """Add float32 rows (N, R) to float64 windows (N, R): the least that any accumulator does."""
+    for i in range(rows.shape[0]):
+        row, window = rows[i], windows[i]
+        for place in range(row.size):
+            window[place] += row[place]

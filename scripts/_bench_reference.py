@@ -1,0 +1,82 @@
+"""What the bench compares with and checks against: SIC and MuSIC as NumPy writes them.
+
+Independent of the package: nothing of it is imported here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.floating]
+Ints = NDArray[np.integer]
+
+
+def gather(z: Floats, frame: int, top: Ints, history: int) -> Floats:
+    """SIC's statistics (K,) at a frame: gather all K×F z-scores of the diagonals and sum them.
+
+    `z` (Q, R) are standardised scores of a technique that ran on every frame, `top` (K,) the
+    candidates. Indices into the flattened rows gather faster than pairs of indices.
+    """
+    ages = np.arange(min(history, frame) + 1)
+    on_map = top[:, None] >= ages  # (K, F)
+    flat = (frame * z.shape[1] + top)[:, None] - ages * (z.shape[1] + 1)
+    terms = np.where(on_map, z.ravel().take(flat, mode="wrap"), 0.0)
+    return terms.sum(axis=1) / np.sqrt(on_map.sum(axis=1))
+
+
+def standardised(rows: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Rows (Q, R) less their mean, over their population σ."""
+    wide = rows.astype(np.float64)
+    z: NDArray[np.float64] = (wide - wide.mean(axis=1, keepdims=True)) / wide.std(
+        axis=1, keepdims=True
+    )
+    return z
+
+
+def ranked(rows: NDArray[np.float32], count: int) -> NDArray[np.int64]:
+    """The best places (Q, K) of each row, ties to the lower index."""
+    order: NDArray[np.int64] = np.argsort(-rows, axis=1, kind="stable")[:, :count]
+    return order
+
+
+class Expected(NamedTuple):
+    """What the environment must say of one route's frame on which everything ran."""
+
+    prediction: int
+    confidence: float
+    technique: int
+    p_correct: float
+
+
+def expected(
+    z: Sequence[Floats],
+    top: Sequence[Ints],
+    start: int,
+    frame: int,
+    *,
+    history: int,
+    tolerance: int,
+    calibration: Floats,
+) -> Expected:
+    """MuSIC with all techniques on ``frame`` of a route that begins at query ``start``.
+
+    ``z`` and ``top`` hold one array per technique, see :func:`gather`; ``calibration`` are the
+    coefficients of p̂ for `evidence` where the winner has a rival.
+    """
+    places = [places[start + frame] for places in top]
+    values = [
+        gather(rows[start:], frame, chosen, history) for rows, chosen in zip(z, places, strict=True)
+    ]
+    technique = int(np.argmax([v.max() for v in values]))
+    place = int(places[technique][np.argmax(values[technique])])
+    confidence = float(values[technique].max())
+    far = np.abs(np.stack(places) - place) > tolerance
+    margin = confidence - float(np.stack(values)[far].max())
+    constant, by_statistic, by_margin = calibration
+    logit = constant + by_statistic * math.asinh(confidence) + by_margin * math.asinh(margin)
+    return Expected(place, confidence, technique, 1.0 / (1.0 + math.exp(-logit)))
