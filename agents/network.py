@@ -36,12 +36,14 @@ class NetworkConfig:
     Attributes:
         hidden: width of the hidden layers.
         encoding: length of a technique's encoding.
-        first_logit: logit that every technique starts with.
+        first_logit: logit that every technique starts with. Above 0, learning begins with most
+            techniques running and finds out which to leave out; from 0 or below it often ends
+            with the cheapest technique for ever.
     """
 
     hidden: int = 64
     encoding: int = 32
-    first_logit: float = 0.0
+    first_logit: float = 1.0
 
 
 class SelectorNetwork(nn.Module):
@@ -53,14 +55,12 @@ class SelectorNetwork(nn.Module):
         self.latent_dim_vf = config.hidden
         hidden, code = config.hidden, config.encoding
         self.encoder = nn.Sequential(
-            nn.Linear(WIDTH + ROUTE_WIDTH, hidden), nn.ReLU(), nn.Linear(hidden, code), nn.ReLU()
+            nn.Linear(WIDTH + ROUTE_WIDTH, hidden), nn.Tanh(), nn.Linear(hidden, code), nn.Tanh()
         )
         pooled = 2 * code + ROUTE_WIDTH
-        self.head = nn.Sequential(
-            nn.Linear(code + pooled, hidden), nn.ReLU(), nn.Linear(hidden, 1)
-        )
+        self.head = nn.Sequential(nn.Linear(code + pooled, hidden), nn.Tanh(), nn.Linear(hidden, 1))
         self.critic = nn.Sequential(
-            nn.Linear(pooled, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU()
+            nn.Linear(pooled, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh()
         )
         for module in self.modules():
             if isinstance(module, nn.Linear):
@@ -71,9 +71,7 @@ class SelectorNetwork(nn.Module):
         nn.init.orthogonal_(last.weight, 0.01)
         nn.init.constant_(last.bias, config.first_logit)
 
-    def encode(
-        self, observation: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def encode(self, observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Encodings (B, S, E), pool (B, P) and presence (B, S)."""
         groups = observation[:, :-ROUTE_WIDTH].unflatten(1, (-1, WIDTH))  # (B, S, F)
         route = observation[:, -ROUTE_WIDTH:]  # (B, G)
@@ -82,7 +80,7 @@ class SelectorNetwork(nn.Module):
         codes = self.encoder(torch.cat([groups, spread], dim=2))  # (B, S, E)
         weight = present.unsqueeze(2)
         mean = (codes * weight).sum(1) / weight.sum(1).clamp(min=1.0)
-        highest = (codes * weight).amax(1)  # ReLU keeps codes at 0 or above
+        highest = (codes - 2.0 * (1.0 - weight)).amax(1)  # tanh keeps codes above −1
         return codes, torch.cat([mean, highest, route], dim=1), present
 
     def logits(self, observation: torch.Tensor) -> torch.Tensor:

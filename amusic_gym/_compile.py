@@ -14,7 +14,16 @@ from numba.extending import intrinsic
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-KERNEL_SOURCES = ("_compile.py", "settings.py", "sic.py", "observation.py", "dynamics.py")
+KERNEL_SOURCES = (
+    "_compile.py",
+    "settings.py",
+    "rows.py",
+    "sic.py",
+    "observation.py",
+    "dynamics.py",
+)
+
+_njit: Any = njit  # its stubs know neither the cache nor the options without wrappers
 
 
 @cache
@@ -31,10 +40,11 @@ def compiled(function: Function) -> Function:
     Numba watches only the file of the cached function itself, but machine code holds that of its
     callees too: without the digest, a change in one kernel file would leave another's stale.
     """
-    dispatcher = njit(cache=True, error_model="numpy")(function)
+    dispatcher = _njit(cache=True, error_model="numpy")(function)
     file = dispatcher._cache._cache_file
     file._source_stamp = (file._source_stamp, sources_digest())
-    return dispatcher  # type: ignore[no-any-return]
+    compiled_function: Function = dispatcher
+    return compiled_function
 
 
 def inner(function: Function) -> Function:
@@ -43,18 +53,22 @@ def inner(function: Function) -> Function:
     Not cached by itself: it is part of its callers' machine code.
     """
     options = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
-    return njit(**options)(function)  # type: ignore[no-any-return]
+    compiled_function: Function = _njit(**options)(function)
+    return compiled_function
 
 
-@intrinsic  # type: ignore[untyped-decorator]
-def pointer(typing_context: Any, address: Any) -> Any:
+def _pointer(typing_context: Any, address: Any) -> Any:
     """Turn an integer address into a pointer for ``numba.carray``.
 
     Routes of one batch lie in different banks of different size; a table of addresses lets one
-    compiled loop visit all of them. Whoever stores an address also keeps its array alive.
+    compiled loop visit all of them. Whoever stores an address also keeps its array alive. The
+    first parameter is Numba's.
     """
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.inttoptr(arguments[0], cgutils.voidptr_t)
 
     return types.voidptr(address), codegen
+
+
+pointer: Any = intrinsic(_pointer)

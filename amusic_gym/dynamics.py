@@ -15,17 +15,13 @@ from numpy.typing import NDArray
 
 from amusic_gym._compile import compiled, inner
 from amusic_gym.observation import SMOOTHING, observe
+from amusic_gym.rows import mean_at, prepare, row_at, scale_at, top_at
 from amusic_gym.sic import (
     best_rival,
     first_best,
-    mean_at,
-    prepare,
     push,
-    row_at,
-    scale_at,
     score_candidates,
     statistic_of,
-    top_at,
     weigh,
 )
 
@@ -146,9 +142,7 @@ class Outcome(NamedTuple):
 
 
 @inner
-def correct_frame(
-    state: State, rules: Rules, i: int, s: int, frame: int, out: Outcome
-) -> int:
+def correct_frame(state: State, rules: Rules, i: int, s: int, frame: int, out: Outcome) -> int:
     """Run SIC for one technique on a frame; statistics to ``state.values[s]``; winner's rank."""
     run = state.runs[i, s]
     if not prepare(run, frame):
@@ -320,7 +314,7 @@ def fuse(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
             top = top_at(state.runs[i, s], frame)
             rival = best_rival(state.values[s], top, top.size, place, route.tolerance, rival)
     has_rival = rival > -math.inf
-    route.continues = 1.0 if place == route.prediction + 1 else 0.0
+    route.continues = 1.0 if route.prediction >= 0 and place == route.prediction + 1 else 0.0
     route.prediction = place
     route.confidence = slots[chosen].statistic
     route.margin = route.confidence - rival if has_rival else 0.0

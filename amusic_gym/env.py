@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from amusic_gym.task import RENDER_MODES, Infos, Task, as_seed, first_of
+from amusic_gym.task import RENDER_FPS, RENDER_MODES, Infos, Task, as_seed, first_of
 
 
 class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
@@ -43,7 +43,7 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     | statistic | squash of its SIC statistic at its last run |
     | margin | squash of that over its best rival beyond the tolerance |
     | correction | squash of its last correction |
-    | agrees | 1 if its last match, moved along its diagonal, is the fused prediction (± tolerance) |
+    | agrees | 1 if its last match, moved along its diagonal, is the fused one (± tolerance) |
     | agreement | running mean of agrees over its runs |
     | support | squash of the z-score that its last row gives to the fused prediction |
     | support_mean | squash of the running mean of support |
@@ -105,7 +105,10 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     * v0: may change until release 1.0.0.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES)}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
+        "render_modes": list(RENDER_MODES),
+        "render_fps": RENDER_FPS,
+    }
 
     def __init__(self, bank: Any = None, **arguments: Any) -> None:
         self.task = Task(1, bank, **arguments)
@@ -130,9 +133,7 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
         out = self.task.episodes.look()
         return out.observation[0], first_of(self.task.infos(out))
 
-    def step(
-        self, action: Any
-    ) -> tuple[NDArray[np.float32], float, bool, bool, Infos]:
+    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, Infos]:
         """Run the chosen techniques on the next frame.
 
         Raises:
@@ -152,6 +153,6 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
             first_of(infos),
         )
 
-    def render(self) -> str | None:  # type: ignore[override]
+    def render(self) -> str | None:
         """One line on the last frame with ``render_mode="ansi"``."""
         return self.task.describe(0) if self.render_mode == "ansi" else None

@@ -27,8 +27,9 @@ from amusic_gym.dynamics import (
     step_routes,
 )
 from amusic_gym.observation import observation_size
+from amusic_gym.rows import RUN
 from amusic_gym.settings import BLOCK, COVERAGE, SICSettings
-from amusic_gym.sic import RUN, SLACK, SUMS
+from amusic_gym.sic import SLACK, SUMS
 
 
 @dataclass(frozen=True)
@@ -267,4 +268,3 @@ def columns_for(bank: ScoreBank, techniques: Sequence[str] | None, slots: int) -
             f" {', '.join(techniques)}; give banks of the same techniques, or slots=S for any"
         )
     return np.array([bank.techniques.index(name) for name in techniques], np.int64)
-

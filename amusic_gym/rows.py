@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numba import carray  # type: ignore[attr-defined]  # not in Numba's list of exports
 from numpy.typing import NDArray
+
+from amusic_gym._compile import compiled, inner, pointer
 
 if TYPE_CHECKING:
     from amusic_gym.bank import ScoreBank
@@ -32,3 +36,116 @@ class PreparedRows:
         self.scale: NDArray[np.float64] = np.zeros((techniques, queries))
         self.top: NDArray[np.int32] = np.zeros((techniques, queries, self.candidates), np.int32)
         self.ready: NDArray[np.uint8] = np.zeros((techniques, queries), np.uint8)
+
+
+RUN = np.dtype(
+    [
+        ("scores", np.int64),  # address of the technique's (Q, R) float32 scores
+        ("mean", np.int64),  # addresses of PreparedRows' entries of this technique
+        ("scale", np.int64),
+        ("top", np.int64),
+        ("ready", np.int64),
+        ("start", np.int64),  # the query that is frame 0
+        ("references", np.int64),  # R
+        ("candidates", np.int64),  # K, clipped to R
+    ]
+)
+"""Where one technique's rows lie in memory."""
+
+
+@inner
+def row_at(run: Any, frame: int) -> Any:
+    """Score row (R,) of a frame."""
+    size = run.references
+    return carray(pointer(run.scores + (run.start + frame) * size * 4), (size,), np.float32)
+
+
+@inner
+def mean_at(run: Any, frame: int) -> Any:
+    """Mean of a frame's row."""
+    return carray(pointer(run.mean + (run.start + frame) * 8), (1,), np.float64)
+
+
+@inner
+def scale_at(run: Any, frame: int) -> Any:
+    """1/σ of a frame's row."""
+    return carray(pointer(run.scale + (run.start + frame) * 8), (1,), np.float64)
+
+
+@inner
+def top_at(run: Any, frame: int) -> Any:
+    """Candidates (K,) of a frame, ranked."""
+    size = run.candidates
+    return carray(pointer(run.top + (run.start + frame) * size * 4), (size,), np.int32)
+
+
+@inner
+def ready_at(run: Any, frame: int) -> Any:
+    """Whether the entries of a frame's row are filled."""
+    return carray(pointer(run.ready + (run.start + frame)), (1,), np.uint8)
+
+
+@inner
+def worse(scores: Any, a: int, b: int) -> bool:
+    """Whether place ``a`` ranks behind place ``b``: lower score, or equal and of higher index."""
+    return scores[a] < scores[b] or (scores[a] == scores[b] and a > b)
+
+
+@inner
+def sift(scores: Any, heap: Any, root: int, size: int) -> None:
+    """Restore a heap of places whose root is the worst."""
+    while True:
+        child = 2 * root + 1
+        if child >= size:
+            return
+        if child + 1 < size and worse(scores, heap[child + 1], heap[child]):
+            child += 1
+        if not worse(scores, heap[child], heap[root]):
+            return
+        heap[root], heap[child] = heap[child], heap[root]
+        root = child
+
+
+@compiled
+def rank_candidates(scores: Any, top: Any) -> None:
+    """Fill ``top`` (K,) with the best places of ``scores`` (R,), ranked, ties to the lower."""
+    size = top.size
+    for i in range(size):
+        top[i] = i
+    for i in range(size // 2 - 1, -1, -1):
+        sift(scores, top, i, size)
+    for place in range(size, scores.size):
+        if scores[place] > scores[top[0]]:
+            top[0] = place
+            sift(scores, top, 0, size)
+    for end in range(size - 1, 0, -1):
+        top[0], top[end] = top[end], top[0]
+        sift(scores, top, 0, end)
+
+
+@compiled
+def prepare(run: Any, frame: int) -> bool:
+    """Fill mean, scale and candidates of a frame's row once; False if a score is not finite."""
+    ready = ready_at(run, frame)
+    if ready[0]:
+        return True
+    row = row_at(run, frame)
+    total = 0.0
+    lowest = row[0]
+    highest = row[0]
+    for place in range(row.size):
+        total += row[place]
+        lowest = min(lowest, row[place])
+        highest = max(highest, row[place])
+    if not math.isfinite(total):
+        return False
+    mean = total / row.size
+    square = 0.0
+    for place in range(row.size):
+        square += (row[place] - mean) ** 2
+    mean_at(run, frame)[0] = mean
+    # Asked of the extremes, because rounding can leave a constant row a σ that is not quite 0.
+    scale_at(run, frame)[0] = 0.0 if highest == lowest else 1.0 / math.sqrt(square / row.size)
+    rank_candidates(row, top_at(run, frame))
+    ready[0] = 1
+    return True

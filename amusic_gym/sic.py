@@ -9,13 +9,14 @@ history is. The compiled functions here are the only implementation; the environ
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import carray
 from numpy.typing import ArrayLike, NDArray
 
-from amusic_gym._compile import compiled, inner, pointer
+from amusic_gym._compile import compiled, inner
+from amusic_gym.rows import RUN, mean_at, prepare, row_at, scale_at
 from amusic_gym.settings import SICSettings
 
 RELATIVE_TIE = 1e-9
@@ -24,20 +25,6 @@ ABSOLUTE_TIE = 1e-12
 
 SLACK = 512
 """Frames that the running sums move before their window is copied back."""
-
-RUN = np.dtype(
-    [
-        ("scores", np.int64),  # address of the technique's (Q, R) float32 scores
-        ("mean", np.int64),  # addresses of PreparedRows' entries of this technique
-        ("scale", np.int64),
-        ("top", np.int64),
-        ("ready", np.int64),
-        ("start", np.int64),  # the query that is frame 0
-        ("references", np.int64),  # R
-        ("candidates", np.int64),  # K, clipped to R
-    ]
-)
-"""Where one technique's rows lie in memory."""
 
 SUMS = np.dtype(
     [
@@ -50,106 +37,9 @@ SUMS = np.dtype(
 
 
 @inner
-def row_at(run: Any, frame: int) -> Any:
-    """Score row (R,) of a frame."""
-    size = run.references
-    return carray(pointer(run.scores + (run.start + frame) * size * 4), (size,), np.float32)
-
-
-@inner
-def mean_at(run: Any, frame: int) -> Any:
-    """Mean of a frame's row."""
-    return carray(pointer(run.mean + (run.start + frame) * 8), (1,), np.float64)
-
-
-@inner
-def scale_at(run: Any, frame: int) -> Any:
-    """1/σ of a frame's row."""
-    return carray(pointer(run.scale + (run.start + frame) * 8), (1,), np.float64)
-
-
-@inner
-def top_at(run: Any, frame: int) -> Any:
-    """Candidates (K,) of a frame, ranked."""
-    size = run.candidates
-    return carray(pointer(run.top + (run.start + frame) * size * 4), (size,), np.int32)
-
-
-@inner
-def ready_at(run: Any, frame: int) -> Any:
-    """Whether the entries of a frame's row are filled."""
-    return carray(pointer(run.ready + (run.start + frame)), (1,), np.uint8)
-
-
-@inner
-def worse(scores: Any, a: int, b: int) -> bool:
-    """Whether place ``a`` ranks behind place ``b``: lower score, or equal and of higher index."""
-    return scores[a] < scores[b] or (scores[a] == scores[b] and a > b)  # type: ignore[no-any-return]
-
-
-@inner
-def sift(scores: Any, heap: Any, root: int, size: int) -> None:
-    """Restore a heap of places whose root is the worst."""
-    while True:
-        child = 2 * root + 1
-        if child >= size:
-            return
-        if child + 1 < size and worse(scores, heap[child + 1], heap[child]):
-            child += 1
-        if not worse(scores, heap[child], heap[root]):
-            return
-        heap[root], heap[child] = heap[child], heap[root]
-        root = child
-
-
-@compiled
-def rank_candidates(scores: Any, top: Any) -> None:
-    """Fill ``top`` (K,) with the best places of ``scores`` (R,), ranked, ties to the lower."""
-    size = top.size
-    for i in range(size):
-        top[i] = i
-    for i in range(size // 2 - 1, -1, -1):
-        sift(scores, top, i, size)
-    for place in range(size, scores.size):
-        if scores[place] > scores[top[0]]:
-            top[0] = place
-            sift(scores, top, 0, size)
-    for end in range(size - 1, 0, -1):
-        top[0], top[end] = top[end], top[0]
-        sift(scores, top, 0, end)
-
-
-@compiled
-def prepare(run: Any, frame: int) -> bool:
-    """Fill mean, scale and candidates of a frame's row once; False if a score is not finite."""
-    ready = ready_at(run, frame)
-    if ready[0]:
-        return True
-    row = row_at(run, frame)
-    total = 0.0
-    lowest = row[0]
-    highest = row[0]
-    for place in range(row.size):
-        total += row[place]
-        lowest = min(lowest, row[place])
-        highest = max(highest, row[place])
-    if not math.isfinite(total):
-        return False
-    mean = total / row.size
-    square = 0.0
-    for place in range(row.size):
-        square += (row[place] - mean) ** 2
-    mean_at(run, frame)[0] = mean
-    # Asked of the extremes, because rounding can leave a constant row a σ that is not quite 0.
-    scale_at(run, frame)[0] = 0.0 if highest == lowest else 1.0 / math.sqrt(square / row.size)
-    rank_candidates(row, top_at(run, frame))
-    ready[0] = 1
-    return True
-
-
-@inner
 def add_row(sums: Any, base: int, run: Any, frame: int, decay: float) -> None:
     """Multiply the window's R sums by ``decay`` and add the frame's z-scores."""
+    prepare(run, frame)  # again in an unpickled environment, whose bank starts unprepared
     row = row_at(run, frame)
     mean = mean_at(run, frame)[0]
     scale = scale_at(run, frame)[0]
@@ -165,6 +55,7 @@ def add_row(sums: Any, base: int, run: Any, frame: int, decay: float) -> None:
 @inner
 def remove_row(sums: Any, base: int, run: Any, frame: int, age: int, weight: float) -> None:
     """Take a frame's z-scores, ``age`` frames old, out of the sums of their diagonals."""
+    prepare(run, frame)  # as in add_row
     row = row_at(run, frame)
     mean = mean_at(run, frame)[0]
     scale = scale_at(run, frame)[0] * weight
@@ -191,9 +82,7 @@ def recentre(sums: Any, mark: Any, frame: int, size: int) -> None:
 
 
 @compiled
-def push(
-    sums: Any, mark: Any, run: Any, ran: Any, frame: int, history: int, gamma: float
-) -> None:
+def push(sums: Any, mark: Any, run: Any, ran: Any, frame: int, history: int, gamma: float) -> None:
     """Add the row of ``frame`` to the running sums and let rows older than F frames go.
 
     Args:
@@ -244,7 +133,7 @@ def statistic_of(
     if gamma != 1.0:
         before *= (gamma * gamma if evidence else gamma) ** (span + 1)
     weight = prefix[frame + 1] - before
-    return total / math.sqrt(weight) if evidence else total / weight  # type: ignore[no-any-return]
+    return total / math.sqrt(weight) if evidence else total / weight
 
 
 @compiled
@@ -263,9 +152,7 @@ def score_candidates(
     base = mark.origin - frame
     for rank in range(top.size):
         place = top[rank]
-        out[rank] = statistic_of(
-            sums[base + place], prefix, frame, place, history, gamma, evidence
-        )
+        out[rank] = statistic_of(sums[base + place], prefix, frame, place, history, gamma, evidence)
 
 
 @inner
@@ -310,6 +197,51 @@ class Match(NamedTuple):
     correction: float
 
 
+@dataclass
+class _History:
+    """Rows of the frames so far and what the kernels need of them; room for C frames."""
+
+    rows: NDArray[np.float32]  # (C, R)
+    mean: NDArray[np.float64]  # (C,)
+    scale: NDArray[np.float64]  # (C,)
+    top: NDArray[np.int32]  # (C, K)
+    ready: NDArray[np.uint8]  # (C,)
+    ran: NDArray[np.uint8]  # (C,)
+    weights: NDArray[np.float64]  # (C + 1,)
+    squares: NDArray[np.float64]  # (C + 1,)
+
+    @classmethod
+    def empty(cls, capacity: int, references: int, candidates: int) -> _History:
+        """Room for ``capacity`` frames."""
+        return cls(
+            rows=np.zeros((capacity, references), np.float32),
+            mean=np.zeros(capacity),
+            scale=np.zeros(capacity),
+            top=np.zeros((capacity, candidates), np.int32),
+            ready=np.zeros(capacity, np.uint8),
+            ran=np.zeros(capacity, np.uint8),
+            weights=np.zeros(capacity + 1),
+            squares=np.zeros(capacity + 1),
+        )
+
+    def grown(self) -> _History:
+        """The same with twice the room."""
+        twin = self.empty(2 * len(self.rows), self.rows.shape[1], self.top.shape[1])
+        for name, array in vars(self).items():
+            getattr(twin, name)[: len(array)] = array
+        return twin
+
+    def run(self) -> Any:
+        """RUN record of these rows."""
+        run = np.zeros(1, RUN)
+        for field in ("mean", "scale", "top", "ready"):
+            run[field] = getattr(self, field).ctypes.data
+        run["scores"] = self.rows.ctypes.data
+        run["references"] = self.rows.shape[1]
+        run["candidates"] = self.top.shape[1]
+        return run[0]
+
+
 class SIC:
     """Corrects one technique frame by frame (A-MuSIC, III-A).
 
@@ -332,48 +264,15 @@ class SIC:
         self.settings = settings or SICSettings()
         self.references = references
         self.frame = -1
+        self._history = _History.empty(64, references, min(self.settings.candidates, references))
         self._sums: NDArray[np.float64] = np.zeros(references + SLACK)
         self._mark = np.zeros(1, SUMS)
         self._mark["last"] = -1
         self._mark["origin"] = SLACK
-        self._capacity = 0
-        self._grow(64)
-
-    def _grow(self, capacity: int) -> None:
-        """Make room for the rows of ``capacity`` frames."""
-        k = min(self.settings.candidates, self.references)
-        shapes: dict[str, tuple[tuple[int, ...], Any]] = {
-            "_rows": ((capacity, self.references), np.float32),
-            "_mean": ((capacity,), np.float64),
-            "_scale": ((capacity,), np.float64),
-            "_top": ((capacity, k), np.int32),
-            "_ready": ((capacity,), np.uint8),
-            "_ran": ((capacity,), np.uint8),
-            "_weights": ((capacity + 1,), np.float64),
-            "_squares": ((capacity + 1,), np.float64),
-        }
-        for name, (shape, dtype) in shapes.items():
-            new = np.zeros(shape, dtype)
-            if self._capacity:
-                old = getattr(self, name)
-                new[: len(old)] = old
-            setattr(self, name, new)
-        self._capacity = capacity
-
-    def _run(self) -> Any:
-        """RUN record of the rows kept here."""
-        run = np.zeros(1, RUN)
-        for field in ("mean", "scale", "top", "ready"):
-            run[field] = getattr(self, f"_{field}").ctypes.data
-        run["scores"] = self._rows.ctypes.data
-        run["references"] = self.references
-        run["candidates"] = self._top.shape[1]
-        return run[0]
 
     def skip(self) -> None:
         """Let a frame pass on which the technique does not run."""
-        frame = self._advance()
-        self._weigh(frame)
+        self._weigh(self._advance())
 
     def correct(self, row: ArrayLike) -> Match:
         """Take the technique's scores (R,) of the next frame and return the corrected match.
@@ -383,17 +282,16 @@ class SIC:
         """
         scores = self._checked(row)
         frame = self._advance()
-        self._rows[frame] = scores
-        self._ran[frame] = 1
+        self._history.rows[frame] = scores
+        self._history.ran[frame] = 1
         return self._match(frame)
 
     def preview(self, row: ArrayLike) -> Match:
         """What :meth:`correct` would return for the next frame, without taking it."""
         saved = (self.frame, self._sums.copy(), self._mark.copy())
         match = self.correct(row)
-        frame = self.frame
-        self._ran[frame] = 0
-        self._ready[frame] = 0
+        self._history.ran[self.frame] = 0
+        self._history.ready[self.frame] = 0
         self.frame, self._sums, self._mark = saved
         return match
 
@@ -410,25 +308,23 @@ class SIC:
 
     def _advance(self) -> int:
         self.frame += 1
-        if self.frame >= self._capacity:
-            self._grow(2 * self._capacity)
+        if self.frame >= len(self._history.rows):
+            self._history = self._history.grown()
         return self.frame
 
     def _weigh(self, frame: int) -> None:
-        gamma = self.settings.gamma
-        weigh(self._weights, self._squares, self._ran, frame, frame + 1, gamma)
+        rows = self._history
+        weigh(rows.weights, rows.squares, rows.ran, frame, frame + 1, self.settings.gamma)
 
     def _match(self, frame: int) -> Match:
-        settings, run, mark = self.settings, self._run(), self._mark[0]
+        settings, rows, mark = self.settings, self._history, self._mark[0]
         evidence = settings.statistic == "evidence"
+        run, history, gamma = rows.run(), settings.history, settings.gamma
         prepare(run, frame)
-        push(self._sums, mark, run, self._ran, frame, settings.history, settings.gamma)
+        push(self._sums, mark, run, rows.ran, frame, history, gamma)
         self._weigh(frame)
-        top = self._top[frame]
+        top, prefix = rows.top[frame], rows.squares if evidence else rows.weights
         values = np.empty(top.size)
-        prefix = self._squares if evidence else self._weights
-        score_candidates(
-            self._sums, mark, top, prefix, frame, settings.history, settings.gamma, evidence, values
-        )
+        score_candidates(self._sums, mark, top, prefix, frame, history, gamma, evidence, values)
         winner = first_best(values, values.size)
         return Match(int(top[winner]), float(values[winner]), float(values[winner] - values[0]))

@@ -30,10 +30,14 @@ class RouteSource(Protocol):
     """
 
     @property
-    def techniques(self) -> tuple[str, ...] | None: ...
+    def techniques(self) -> tuple[str, ...] | None:
+        """Names of the slots, or None."""
+        ...
 
     @property
-    def slots(self) -> int: ...
+    def slots(self) -> int:
+        """Largest number of techniques."""
+        ...
 
     def sample(self, rng: np.random.Generator, index: int | None) -> tuple[ScoreBank, int]:
         """Draw a bank and its number, or take the bank of number ``index``."""

@@ -27,6 +27,8 @@ Infos = dict[str, Any]
 
 RESET_OPTIONS = ("bank", "start", "compute_weight")
 RENDER_MODES = ("ansi",)
+RENDER_FPS = 10
+"""Gymnasium wants one, though a line of text has no pace."""
 
 ROUTE_INFOS = (
     "frame",
@@ -244,9 +246,7 @@ class Task:
         infos["present"] = slots["present"].astype(np.bool_)
         infos["run_seconds"] = slots["seconds"].copy()
         infos["compute_weight"] = self.compute_weight()
-        infos["reward_terms"] = {
-            name: np.array(term, np.float64) for name, term in terms.items()
-        }
+        infos["reward_terms"] = {name: np.array(term, np.float64) for name, term in terms.items()}
         if self.block:
             infos["selection"] = {
                 "happened": out.routes["happened"].copy(),
@@ -303,11 +303,14 @@ def first_of(infos: Infos) -> Infos:
 def masked(infos: Infos, mask: NDArray[np.bool_]) -> Infos:
     """Infos as Gymnasium's vector environments give them: zero and unset outside ``mask``."""
     result: Infos = {}
+    everyone = bool(mask.all())
     for name, value in infos.items():
         if isinstance(value, dict):
             result[name] = masked(value, mask)
+        elif everyone:
+            result[name] = value
         else:
             kept = mask.reshape(-1, *[1] * (value.ndim - 1))
-            result[name] = value if mask.all() else np.where(kept, value, np.zeros_like(value))
+            result[name] = np.where(kept, value, np.zeros_like(value))
         result[f"_{name}"] = mask.copy()
     return result

@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.names import suggest
-from amusic_gym.task import RENDER_MODES, Infos, Task, as_seed, masked
+from amusic_gym.task import RENDER_FPS, RENDER_MODES, Infos, Task, as_seed, masked
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -50,6 +50,7 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
         self.render_mode = arguments.get("render_mode")
         self.metadata = {
             "render_modes": list(RENDER_MODES),
+            "render_fps": RENDER_FPS,
             "autoreset_mode": self.autoreset_mode,
         }
         self.single_observation_space = self.task.observation_space
@@ -117,9 +118,7 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
             )
         return mask
 
-    def step(
-        self, actions: ArrayLike
-    ) -> tuple[NDArray[np.float32], Floats, Flags, Flags, Infos]:
+    def step(self, actions: ArrayLike) -> tuple[NDArray[np.float32], Floats, Flags, Flags, Infos]:
         """Run the chosen techniques on every route's next frame.
 
         Raises:
@@ -173,7 +172,7 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
         }
         return np.where(ended[:, None], out.observation, observation), merged
 
-    def render(self) -> tuple[str, ...] | None:  # type: ignore[override]
+    def render(self) -> tuple[str, ...] | None:
         """One line per route with ``render_mode="ansi"``."""
         if self.render_mode is None:
             return None

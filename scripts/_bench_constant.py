@@ -20,8 +20,10 @@ class ConstantVecEnv(VecEnv):
     """
 
     def __init__(
-        self, num_envs: int, observation_space: spaces.Space, action_space: spaces.Space
+        self, num_envs: int, observation_space: spaces.Space[Any], action_space: spaces.Space[Any]
     ) -> None:
+        """Make the constants."""
+        self.render_mode = None
         super().__init__(num_envs, observation_space, action_space)
         self._observation = np.zeros((num_envs, *(observation_space.shape or ())), np.float32)
         self._rewards = np.zeros(num_envs, np.float32)

@@ -8,7 +8,8 @@ from __future__ import annotations
 from typing import Any
 
 from amusic_gym._compile import compiled
-from amusic_gym.sic import first_best, push, score_candidates, top_at, weigh
+from amusic_gym.rows import top_at
+from amusic_gym.sic import first_best, push, score_candidates, weigh
 
 
 @compiled

@@ -26,7 +26,8 @@ def gather(z: Floats, frame: int, top: Ints, history: int) -> Floats:
     on_map = top[:, None] >= ages  # (K, F)
     flat = (frame * z.shape[1] + top)[:, None] - ages * (z.shape[1] + 1)
     terms = np.where(on_map, z.ravel().take(flat, mode="wrap"), 0.0)
-    return terms.sum(axis=1) / np.sqrt(on_map.sum(axis=1))
+    statistics: Floats = terms.sum(axis=1) / np.sqrt(on_map.sum(axis=1))
+    return statistics
 
 
 def standardised(rows: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -61,7 +61,9 @@ def calibrate(banks: list[ScoreBank], statistic: str, seed: int) -> dict[str, li
     single = np.eye(shape[1], dtype=np.bool_)[rng.integers(shape[1], size=len(banks))]
     steady = collect(banks, statistic, 50, lambda: fixed)
     random = collect(banks, statistic, 50, lambda: rng.random(shape) < rates)
-    confidence, margin, correct = (np.concatenate(pair) for pair in zip(steady, random, strict=True))
+    confidence, margin, correct = (
+        np.concatenate(pair) for pair in zip(steady, random, strict=True)
+    )
     alone = collect(banks, statistic, 1, lambda: single)
     return {
         "rival": np.round(fit(design(confidence, margin), correct), 4).tolist(),
@@ -77,9 +79,7 @@ def main(arguments: list[str] | None = None) -> None:
     default = Path(__file__).parent.parent / "amusic_gym" / FILE
     parser.add_argument("--out", type=Path, default=default, help="the package's file")
     given = parser.parse_args(arguments)
-    banks = [
-        ORDINARY.route(np.random.default_rng([given.seed, i])) for i in range(given.routes)
-    ]
+    banks = [ORDINARY.route(np.random.default_rng([given.seed, i])) for i in range(given.routes)]
     table: dict[str, Any] = {
         "made_by": f"python scripts/calibrate.py --routes {given.routes} --seed {given.seed}",
         "version": __version__,

@@ -53,7 +53,11 @@ def _contestant(spec: str, args: argparse.Namespace) -> Contestant:
 
 
 def _learned(spec: str, folder: Path, args: argparse.Namespace) -> Contestant:
-    from agents.selector import load_selector  # needs PyTorch
+    import agents  # these need PyTorch
+    from agents.run_folder import SELECTOR
+    from agents.selector import load_selector
+
+    load_selector(folder)  # refuses what is no run folder
 
     def make(context: Context) -> Policy:
         selector = load_selector(folder)
@@ -65,14 +69,8 @@ def _learned(spec: str, folder: Path, args: argparse.Namespace) -> Contestant:
             )
         return selector
 
-    weights = check_weights(args.compute_weight)
-    return Contestant(spec, make, weights, version=_weights_digest(folder))
-
-
-def _weights_digest(folder: Path) -> str:
-    """Checksum of a run's weights, by which its finished rows are known again."""
-    files = sorted(folder.glob("*.safetensors"))
-    return " ".join(f"{file.name} {file_digest(file)}" for file in files)
+    version = f"{file_digest(folder / SELECTOR)} {code_digest(Path(agents.__file__).parent)}"
+    return Contestant(spec, make, check_weights(args.compute_weight), version)
 
 
 def _parser() -> Parser:

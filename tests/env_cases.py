@@ -131,6 +131,8 @@ def digest(value: Any) -> str:
         elif isinstance(part, list | tuple):
             for item in part:
                 add(item)
+        elif isinstance(part, np.ndarray) and part.dtype == object:
+            add(part.tolist())
         elif isinstance(part, np.ndarray):
             state.update(str((part.dtype, part.shape)).encode() + part.tobytes())
         else:

@@ -201,7 +201,9 @@ def test_39_a_standing_robot_is_no_change(statistic, gamma):
     for seed in range(20):
         rng = np.random.default_rng(seed)
         rows = np.repeat(rng.normal(size=(4, 1, 30)), 60, axis=1)
-        bank = ScoreBank(rows, list("ABCD"), np.ones(4), tolerance=1, ground_truth=np.zeros(60, int))
+        bank = ScoreBank(
+            rows, list("ABCD"), np.ones(4), tolerance=1, ground_truth=np.zeros(60, int)
+        )
         expected = oracle.amusic(bank.scores, 10, 5, gamma, statistic)
         policy = AMuSIC(statistic)
         [infos] = drive(policy, [bank], candidates=10, history=5, gamma=gamma)

@@ -228,6 +228,17 @@ def test_observation_means_what_the_table_says(bank, statistic, weight):
         assert found == pytest.approx(expected, rel=1e-5, abs=1e-6), f"frame {frame}"
 
 
+def test_a_first_prediction_continues_nothing():
+    scores = np.zeros((1, 4, 4)) + np.eye(4)
+    bank = ScoreBank(scores, ["A"], [1.0], tolerance=0)
+    env = TechniqueSelectionEnv(bank)
+    env.reset(seed=0)
+    position = observation_names(bank.techniques).index("route.continues")
+    steps = [env.step([1]) for _ in range(4)]
+    assert [step[4]["prediction"] for step in steps] == [0, 1, 2, 3]
+    assert [step[0][position] for step in steps] == [0.0, 1.0, 1.0, 1.0]
+
+
 def test_observation_holds_nothing_of_techniques_that_did_not_run(bank):
     """Other scores of a technique that never runs change nothing; nor does the ground truth."""
     scores = np.array(bank.scores)

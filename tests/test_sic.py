@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import golden
 import numpy as np
 import oracle
@@ -11,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from amusic_gym.bank import ScoreBank
-from amusic_gym.calibration import coefficients, features
+from amusic_gym.calibration import coefficients
 from amusic_gym.env import TechniqueSelectionEnv
 from amusic_gym.settings import STATISTICS, SICSettings
 from amusic_gym.sic import SIC, SLACK
@@ -42,6 +44,16 @@ def walk(rows, ran, chosen: SICSettings) -> list[tuple[int, float, float] | None
             sic.skip()
         found.append(tuple(sic.correct(row)) if runs else None)
     return found
+
+
+def estimated(statistic: str, confidence: float, margin: float | None) -> float:
+    """p̂ of a fused match; no margin where there is no rival."""
+    b = coefficients(statistic)
+    if margin is None:
+        logit = b[3] + b[4] * math.asinh(confidence)
+    else:
+        logit = b[0] + b[1] * math.asinh(confidence) + b[2] * math.asinh(margin)
+    return 1.0 / (1.0 + math.exp(-min(30.0, max(-30.0, logit))))
 
 
 # ---- values worked out by hand -----------------------------------------------------------
@@ -114,10 +126,8 @@ def test_environment_is_the_loops(seed, size, levels, chosen, activity):
         for t, sic in enumerate(expected.sics):
             own = [info["place"][t], info["statistic"][t], info["correction"][t]]
             np.testing.assert_allclose(own, sic[:3] if sic else [0, 0, 0], **CLOSE)
-        logit = coefficients(chosen.statistic) @ features(
-            expected.confidence, margin or 0.0, margin is not None
-        )
-        np.testing.assert_allclose(info["p_correct"], 1 / (1 + np.exp(-logit)), **CLOSE)
+        estimate = estimated(chosen.statistic, expected.confidence, margin)
+        np.testing.assert_allclose(info["p_correct"], estimate, **CLOSE)
 
 
 LONG = [  # references, F, gamma, share of the frames it runs on

@@ -1,0 +1,193 @@
+"""What happens beside the learning: evaluations, the best selector, checkpoints, resume."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+
+from agents.config import TrainingConfig, stored
+from agents.evaluation import Evaluation, HeldOut
+from agents.network import SelectorNetwork
+from agents.run_folder import (
+    CHECKPOINT,
+    EVALUATIONS,
+    Tensors,
+    check_layers,
+    read_tensors,
+    write_config,
+    write_selector,
+    write_tensors,
+)
+from agents.selector import TrainedSelector
+from amusic_gym.trace import write_whole
+
+
+class Keeper(BaseCallback):
+    """Evaluates, keeps the best selector, writes checkpoints, logs the terms of the reward.
+
+    Args:
+        out: the run folder.
+        config: the training's configuration.
+        banks: folders of the banks, for ``config.json``.
+        held_out: the routes to evaluate on.
+    """
+
+    def __init__(
+        self, out: Path, config: TrainingConfig, banks: Sequence[str | None], held_out: HeldOut
+    ) -> None:
+        super().__init__()
+        self.out = out
+        self.config = config
+        self.banks = banks
+        self.held_out = held_out
+        self.evaluations: list[Evaluation] = []
+        self._next = config.evaluate_every
+
+    @property
+    def network(self) -> SelectorNetwork:
+        """The network that is being trained."""
+        network = self.model.policy.mlp_extractor
+        assert isinstance(network, SelectorNetwork)
+        return network
+
+    @property
+    def best(self) -> Evaluation | None:
+        """The first of the highest score."""
+        return max(self.evaluations, key=lambda result: result.score, default=None)
+
+    def begin(self) -> None:
+        """Start the run folder: configuration and a first checkpoint."""
+        self.write_config()
+        self.checkpoint()
+
+    def write_config(self) -> None:
+        """Write ``config.json``."""
+        write_config(self.out, stored(self.config, self.banks, self.best))
+
+    def _on_step(self) -> bool:
+        if self.locals["dones"].any():
+            self._log(info for info in self.locals["infos"] if "episode" in info)
+        return True
+
+    def _log(self, ended: Any) -> None:
+        """Record means per frame of the reward's terms, and the return, of ended episodes."""
+        for info in ended:
+            self.logger.record_mean("route/return", info["episode"]["r"])
+            for name, value in info["reward_terms"].items():
+                self.logger.record_mean(f"route/{name}", value)
+
+    def _on_rollout_start(self) -> None:
+        if self.model.num_timesteps >= self._next:
+            self.evaluate()
+
+    def finish(self) -> None:
+        """Evaluate the last weights, if that was not done."""
+        if not self.evaluations or self.evaluations[-1].timesteps < self.model.num_timesteps:
+            self.evaluate()
+            self.logger.dump(self.model.num_timesteps)
+
+    def evaluate(self) -> None:
+        """Evaluate, keep the selector if it is the best, write a checkpoint."""
+        steps = self.model.num_timesteps
+        selector = TrainedSelector(self.network, self.config.statistic)
+        result = self.held_out.evaluate(selector, steps)
+        for name, value in result._asdict().items():
+            self.logger.record(f"held_out/{name}", value)
+        self.evaluations.append(result)
+        self._next = steps + self.config.evaluate_every
+        if self.best is result:
+            write_selector(self.out, self.network, self.config.network)
+            self.write_config()
+        self._write_evaluations()
+        self.checkpoint()
+
+    def _write_evaluations(self) -> None:
+        table = io.StringIO()
+        writer = csv.writer(table, lineterminator="\n")
+        writer.writerow(Evaluation._fields)
+        writer.writerows(self.evaluations)
+        write_whole(self.out / EVALUATIONS, table.getvalue().encode())
+
+    def save(self) -> None:
+        """Keep what there is: a checkpoint, and a selector where none was evaluated yet."""
+        if not self.evaluations:
+            write_selector(self.out, self.network, self.config.network)
+        self.checkpoint()
+
+    def checkpoint(self) -> None:
+        """Write everything that resuming needs, as one file."""
+        model = self.model
+        assert isinstance(model, PPO)
+        tensors: Tensors = {f"policy.{k}": v for k, v in model.policy.state_dict().items()}
+        optimiser = model.policy.optimizer.state_dict()["state"]
+        for index, values in optimiser.items():
+            tensors |= {f"optimiser.{index}.{k}": torch.as_tensor(v) for k, v in values.items()}
+        tensors["random.torch"] = torch.get_rng_state()
+        metadata = {
+            "timesteps": str(model.num_timesteps),
+            "updates": str(model._n_updates),
+            "numpy": json.dumps(_numpy_state()),
+            "evaluations": json.dumps(self.evaluations),
+        }
+        write_tensors(self.out / CHECKPOINT, tensors, metadata)
+
+    def restore(self) -> None:
+        """Take the model back to the last checkpoint; its routes begin anew.
+
+        Raises:
+            FileNotFoundError: if there is no checkpoint.
+            ValueError: if it is damaged or another training's.
+        """
+        path = self.out / CHECKPOINT
+        tensors, metadata = read_tensors(path)
+        policy = _part(tensors, "policy.")
+        check_layers(path, policy, self.model.policy.state_dict())
+        try:
+            self._restore(policy, tensors, metadata)
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise ValueError(f"{path} holds no whole checkpoint ({error}); train again") from error
+
+    def _restore(self, policy: Tensors, tensors: Tensors, metadata: dict[str, str]) -> None:
+        model = self.model
+        assert isinstance(model, PPO)
+        model.policy.load_state_dict(policy)
+        self._restore_optimiser(_part(tensors, "optimiser."))
+        model.num_timesteps = int(metadata["timesteps"])
+        model._n_updates = int(metadata["updates"])
+        self.evaluations = [Evaluation(*row) for row in json.loads(metadata["evaluations"])]
+        self._next = model.num_timesteps + self.config.evaluate_every
+        assert model.env is not None
+        # Other routes than those already driven, but the same after every resume from here.
+        model.env.seed(self.config.seed + model.num_timesteps)
+        torch.set_rng_state(tensors["random.torch"])
+        name, keys, *rest = json.loads(metadata["numpy"])
+        np.random.set_state((name, np.array(keys, np.uint32), *rest))
+
+    def _restore_optimiser(self, tensors: Tensors) -> None:
+        parameters = list(self.model.policy.parameters())
+        state: dict[int, dict[str, torch.Tensor]] = {}
+        for name, tensor in tensors.items():
+            index, _, key = name.partition(".")
+            if tensor.ndim and tensor.shape != parameters[int(index)].shape:
+                raise ValueError(f"shape {tuple(tensor.shape)} of the optimiser's {name!r}")
+            state.setdefault(int(index), {})[key] = tensor
+        optimiser = self.model.policy.optimizer
+        optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
+
+
+def _part(tensors: Tensors, prefix: str) -> Tensors:
+    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+
+
+def _numpy_state() -> list[Any]:
+    name, keys, *rest = np.random.get_state(legacy=True)
+    return [name, np.asarray(keys).tolist(), *rest]

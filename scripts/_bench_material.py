@@ -1,0 +1,168 @@
+"""The bank, the checks and the sizes that all measurements of the bench share."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import _bench_reference as reference
+import numpy as np
+from _bench_kernels import correct_routes
+
+from amusic_gym.bank import ScoreBank
+from amusic_gym.calibration import coefficients
+from amusic_gym.episode import Episodes, Route
+from amusic_gym.rows import prepare
+from amusic_gym.settings import SICSettings
+
+TOLERANCE = 5
+
+
+class Sizes(NamedTuple):
+    """What is measured."""
+
+    techniques: int = 4  # T
+    places: int = 1000  # R
+    candidates: int = 50  # K
+    history: int = 1000  # F
+    frames: int = 1000  # of every route; the timed ones end with the last
+    routes: int = 64  # N
+    rounds: int = 15
+    steps: int = 20  # of each side in one round
+    ppo_rounds: int = 3
+    ppo_steps: int = 64  # of every route in one rollout
+    ppo_batch: int = 512
+
+    @property
+    def timed(self) -> int:
+        """Frames that the rounds and the warm-up take."""
+        return (self.rounds + 1) * self.steps
+
+
+QUICK = Sizes(
+    places=120,
+    candidates=20,
+    history=60,
+    frames=80,
+    routes=8,
+    rounds=3,
+    steps=5,
+    ppo_rounds=1,
+    ppo_steps=16,
+    ppo_batch=64,
+)
+
+
+class Material:
+    """The bank that everything runs on, and what NumPy makes of it.
+
+    Route i begins at query i, so that the routes of a batch read different rows.
+    """
+
+    def __init__(self, sizes: Sizes, seed: int = 0) -> None:
+        """Draw the scores and standardise and rank them in NumPy."""
+        self.sizes = sizes
+        queries = sizes.frames + sizes.routes
+        rng = np.random.default_rng(seed)
+        scores = rng.standard_normal((sizes.techniques, queries, sizes.places), np.float32)
+        truth = np.arange(queries) - sizes.routes
+        truth[(truth < 0) | (truth >= sizes.places)] = -1
+        seen = np.flatnonzero(truth >= 0)
+        scores[:, seen, truth[seen]] += 2.0
+        names = [f"technique {t}" for t in range(sizes.techniques)]
+        seconds = 0.05 * 2.0 ** np.arange(sizes.techniques)
+        self.bank = ScoreBank(
+            scores, names, seconds, tolerance=TOLERANCE, ground_truth=truth, name="bench"
+        )
+        self.starts = np.arange(sizes.routes)
+        self.z = [reference.standardised(rows) for rows in self.bank.scores]
+        self.top = [reference.ranked(rows, sizes.candidates) for rows in self.bank.scores]
+
+    @property
+    def env_arguments(self) -> dict[str, Any]:
+        """Arguments of every environment measured."""
+        settings = {"candidates": self.sizes.candidates, "history": self.sizes.history}
+        return {"bank": self.bank, "statistic": "evidence", **settings}
+
+    @cached_property
+    def everything(self) -> Any:
+        """(N, T) actions that run all techniques."""
+        return np.ones((self.sizes.routes, self.sizes.techniques), np.int8)
+
+    def check_frame(self, frame: int, rewards: Any, infos: dict[str, Any] | None) -> None:
+        """Compare a frame of routes 0 … N−1 with NumPy; compute costs 1 where everything ran."""
+        for i, reward in enumerate(np.atleast_1d(rewards)):
+            want = reference.expected(
+                self.z,
+                self.top,
+                i,
+                frame,
+                history=self.sizes.history,
+                tolerance=TOLERANCE,
+                calibration=coefficients("evidence")[:3],
+            )
+            same(f"reward of route {i} at frame {frame}", reward, want.p_correct - 1.0, 1e-5)
+            for name in ("prediction", "technique", "confidence") if infos else ():
+                got = np.atleast_1d(infos[name])[i]  # type: ignore[index]
+                same(f"{name} of route {i} at frame {frame}", got, getattr(want, name), 1e-9)
+
+    def checked_frames(self) -> set[int]:
+        """Frames that are compared: the first ones, one inside and the last."""
+        return {0, 1, self.sizes.frames // 2, self.sizes.frames - 1}
+
+
+def same(what: str, got: float, want: float, relative: float) -> None:
+    """Refuse to time what is wrong.
+
+    Raises:
+        RuntimeError: if the two differ by more than ``relative``.
+    """
+    if not math.isclose(got, want, rel_tol=relative, abs_tol=relative):
+        raise RuntimeError(f"{what} is {got}, but NumPy says {want}: nothing wrong is timed")
+
+
+class Corrections:
+    """SIC on N routes up to the last frame, to be repeated over the last frames of them."""
+
+    def __init__(self, material: Material) -> None:
+        """Go to where the timed frames begin."""
+        sizes, bank = material.sizes, material.bank
+        settings = SICSettings("evidence", sizes.candidates, sizes.history)
+        self._owner = Episodes(sizes.routes, 1, settings, reselection=0)
+        for i in range(sizes.routes):
+            route = Route(bank, i, sizes.frames, np.array([0]), 1.0, 0)
+            self._owner.begin(i, route)
+        state = self._owner.state
+        self.sums, self.marks, self.runs = (
+            state.sums[0, :, 0],
+            state.marks[0, :, 0],
+            state.runs[:, 0],
+        )
+        self.histories = (state.ran[:, 0], state.weights[:, 0], state.squares[:, 0])
+        self.values = state.values[0]
+        self.places = np.zeros(sizes.routes, np.int64)
+        self.statistics = np.zeros(sizes.routes)
+        self.history, self._correct = sizes.history, correct_routes
+        self.frames = range(sizes.frames - sizes.steps, sizes.frames)  # timed
+        for query in range(bank.queries):
+            prepare(self.runs[0], query)
+        for frame in range(self.frames.start):
+            self.at(frame)
+        self._kept = (self.sums.copy(), self.marks.copy())
+
+    def at(self, frame: int) -> None:
+        """One correction on every route."""
+        self._correct(
+            *(self.sums, self.marks, self.runs, *self.histories, self.values),
+            *(frame, self.history, self.places, self.statistics),
+        )
+
+    def rewind(self) -> None:
+        """Go back to before the timed frames."""
+        self.sums[:], self.marks[:] = self._kept
+
+    def forward(self) -> None:
+        """One correction on every route and timed frame."""
+        for frame in self.frames:
+            self.at(frame)

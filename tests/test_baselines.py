@@ -1,0 +1,323 @@
+"""Every policy of the registry keeps the contract; each does what its name says."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+import oracle as loops
+import pytest
+from env_cases import random_bank
+from test_rollout import assert_same
+
+from amusic_gym.bank import ScoreBank
+from amusic_gym.metrics import summarise
+from amusic_gym.policy import Context, Selector
+from amusic_gym.rollout import Job, rollout, rollouts
+from amusic_gym.settings import STATISTICS
+from amusic_gym.trace import Trace
+from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from baselines import POLICIES, make_policy
+from baselines.cascade import Cascade
+from baselines.uniform import Uniform
+
+ARGUMENTS = {
+    "raw": ["T1"],
+    "single": ["T2"],
+    "subset": ["T0+T2", "T1"],
+    "music": [None],
+    "amusic": [None, "evidence", "mean"],
+    "random": ["0.4", "0", "1"],
+    "cascade": [None],
+    "oracle": [None],
+}
+SPECS = [
+    name if argument is None else f"{name}:{argument}"
+    for name, arguments in ARGUMENTS.items()
+    for argument in arguments
+]
+ONE_ROUTE = ("oracle",)  # built for the bank they run on
+DRAWING = ("random",)
+
+
+def make(spec: str, bank: ScoreBank, statistic: str = "evidence", seed: int = 0):
+    return make_policy(spec, Context.of(bank, statistic=statistic, seed=seed))
+
+
+def run(spec: str, bank: ScoreBank, statistic: str = "evidence", seed: int = 0) -> Trace:
+    return rollout(make(spec, bank, statistic, seed), bank, name=spec, statistic=statistic)
+
+
+def kind(spec: str) -> str:
+    return spec.partition(":")[0]
+
+
+# ---- the contract, for every line of the registry --------------------------------------------
+
+
+def test_every_policy_of_the_registry_is_tested():
+    assert list(ARGUMENTS) == list(POLICIES)
+
+
+@pytest.mark.parametrize("statistic", STATISTICS)
+@pytest.mark.parametrize("spec", SPECS)
+def test_gives_a_trace_of_the_whole_route(spec, statistic, bank):
+    trace = run(spec, bank, statistic)
+    assert (trace.policy, trace.bank, trace.compute_weight) == (spec, bank.name, None)
+    assert trace.queries == bank.queries
+    assert ((trace.predictions >= 0) & (trace.predictions < bank.references)).all()
+    assert trace.ran.any(axis=1).all()
+    spent = trace.runs.sum(axis=0) @ bank.seconds
+    row = summarise(trace)
+    assert row["compute"] == pytest.approx(spent / (bank.queries * bank.seconds.sum()))
+    if kind(spec) != "raw":
+        assert ((trace.p_correct >= 0) & (trace.p_correct <= 1)).all()
+        frames = np.arange(bank.queries)
+        assert trace.ran[frames, trace.chosen].all()  # MuSIC trusts what ran
+
+
+@pytest.mark.parametrize("spec", SPECS)
+def test_the_same_again(spec, bank):
+    assert_same(run(spec, bank), run(spec, bank))
+
+
+@pytest.mark.parametrize("spec", [spec for spec in SPECS if kind(spec) not in DRAWING])
+def test_a_used_policy_forgets_when_reset(spec, bank):
+    policy = make(spec, bank)
+    first, second = (rollout(policy, bank, name=spec) for _ in range(2))
+    assert_same(first, second)
+
+
+@pytest.mark.parametrize("spec", [spec for spec in SPECS if kind(spec) != "raw"])
+@pytest.mark.parametrize("routes", [1, 3])
+def test_actions_are_in_the_action_space(spec, routes, bank):
+    if kind(spec) in ONE_ROUTE and routes > 1:
+        with pytest.raises(ValueError, match="knows one route, not 3; run one at a time"):
+            make(spec, bank).reset(np.ones(routes, np.bool_))
+        return
+    policy = make(spec, bank)
+    assert isinstance(policy, Selector)
+    needs = policy.needs
+    env = TechniqueSelectionVectorEnv(
+        routes,
+        bank,
+        statistic=needs.statistic or "evidence",
+        reselection=needs.reselection,
+        coverage=needs.coverage,
+        allow_idle=needs.allow_idle,
+    )
+    observation, info = env.reset(seed=0)
+    policy.reset(np.ones(routes, np.bool_))
+    for _ in range(bank.queries):
+        actions = policy.act(observation, info)
+        assert env.action_space.contains(actions.astype(np.int8))
+        observation, _, _, _, info = env.step(actions)
+
+
+@pytest.mark.parametrize(
+    "spec", [spec for spec in SPECS if kind(spec) not in (*ONE_ROUTE, *DRAWING)]
+)
+def test_several_routes_at_once_equal_one_at_a_time(spec):
+    banks = [
+        random_bank(seed, queries=queries, references=references)
+        for seed, queries, references in [(1, 40, 60), (2, 25, 30), (3, 70, 75), (4, 9, 40)]
+    ]
+    together = rollouts(make(spec, banks[0]), [Job(bank) for bank in banks], name=spec)
+    for bank, trace in zip(banks, together, strict=True):
+        assert_same(trace, run(spec, bank))
+
+
+@pytest.mark.parametrize("spec", ["music", "amusic", "cascade", "random:0.5", "oracle"])
+def test_runs_on_one_technique_one_frame_one_place(spec):
+    tiny = ScoreBank([[[1.0]]], ["only"], [2.0], tolerance=0, name="dot")
+    trace = run(spec, tiny)
+    assert trace.predictions.tolist() == [0]
+    assert trace.ran.tolist() == [[True]]
+
+
+@pytest.mark.parametrize(
+    ("spec", "sentence"),
+    [
+        ("amusci", r"unknown policy 'amusci': did you mean 'amusic'\? valid: raw, single, "),
+        ("", "unknown policy '': valid: raw, single, subset, music, amusic, random, cascade"),
+        ("AMUSIC", "unknown policy 'AMUSIC': did you mean 'amusic'"),
+        ("ppo", "unknown policy 'ppo': valid"),
+        ("raw", "policy 'raw' needs an argument; write raw:NAME"),
+        ("raw:", "policy 'raw' needs an argument; write raw:NAME"),
+        ("single", "policy 'single' needs an argument; write single:NAME"),
+        ("subset:", r"policy 'subset' needs an argument; write subset:A\+B"),
+        ("random", "policy 'random' needs an argument; write random:P"),
+        ("raw:t1", r"unknown technique 't1': did you mean 'T1'\? valid: T0, T1, T2"),
+        ("single:T", "unknown technique 'T': did you mean 'T"),
+        ("subset:T0+U2", r"unknown technique 'U2': did you mean 'T2'\? valid: T0, T1, T2"),
+        ("subset:T0+T0", r"subset:T0\+T0 names a technique twice; name each once"),
+        ("subset:T0+", "unknown technique ''"),
+        ("music:T0", "policy 'music' takes no argument, got 'T0'; write music"),
+        ("cascade:3", "policy 'cascade' takes no argument, got '3'; write cascade"),
+        ("oracle:", "policy 'oracle' takes no argument, got ''; write oracle"),
+        ("amusic:evidance", r"unknown statistic of amusic 'evidance': did you mean 'evidence'\?"),
+        ("amusic:", "unknown statistic of amusic ''"),
+        ("random:1.5", r"random:1.5: '1.5' is no probability; give a number in \[0, 1\]"),
+        ("random:-0.1", "'-0.1' is no probability"),
+        ("random:nan", "'nan' is no probability"),
+        ("random:half", "'half' is no probability"),
+    ],
+)
+def test_10_unknown_names_and_arguments_are_refused(spec, sentence, bank):
+    with pytest.raises(ValueError, match=sentence):
+        make(spec, bank)
+
+
+# ---- each policy ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("technique", range(3))
+def test_raw_is_the_best_score_of_every_row(technique, bank):
+    trace = run(f"raw:T{technique}", bank)
+    expected = loops.uncorrected(bank.scores, technique)
+    assert trace.predictions.tolist() == expected.predictions
+    assert trace.confidence.tolist() == expected.confidences
+    assert trace.ran.tolist() == expected.ran
+
+
+@pytest.mark.parametrize("statistic", STATISTICS)
+@pytest.mark.parametrize(
+    ("spec", "active"), [("single:T1", [1]), ("subset:T0+T2", [0, 2]), ("music", [0, 1, 2])]
+)
+def test_fixed_subsets_are_the_loops(spec, active, statistic, bank):
+    trace = run(spec, bank, statistic)
+    expected = loops.always(bank.scores, active, statistic=statistic)
+    assert trace.predictions.tolist() == expected.predictions
+    assert trace.chosen.tolist() == expected.chosen
+    np.testing.assert_allclose(trace.confidence, expected.confidences, rtol=1e-9)
+    assert trace.ran.tolist() == expected.ran
+
+
+def test_order_of_a_subset_does_not_matter(bank):
+    first, *others = (run(f"subset:{'+'.join(p)}", bank) for p in permutations(bank.techniques))
+    for other in others:
+        assert_same(first, other)
+    assert_same(first, run("music", bank))
+    assert_same(run("single:T1", bank), run("subset:T1", bank))
+
+
+@pytest.mark.parametrize("statistic", STATISTICS)
+def test_amusic_brings_its_own_statistic(statistic, bank):
+    assert run("amusic", bank, statistic).statistic == "mean"
+    assert run("amusic:evidence", bank, statistic).statistic == "evidence"
+    assert_same(run("amusic", bank), run("amusic:mean", bank))
+
+
+@pytest.mark.parametrize(
+    ("spec", "statistic"), [("amusic", "mean"), ("amusic:evidence", "evidence")]
+)
+def test_amusic_is_the_rule_of_the_loops(spec, statistic):
+    route = random_bank(7, techniques=4, queries=90, references=110)
+    trace, expected = run(spec, route), loops.amusic(route.scores, statistic=statistic)
+    assert trace.predictions.tolist() == expected.predictions
+    assert trace.ran.tolist() == expected.ran
+    assert trace.runs.sum(axis=0).tolist() == expected.runs()
+    before = [selection.frame for selection in expected.selections]
+    assert np.flatnonzero(trace.selections).tolist() == before
+    assert summarise(trace)["reselections"] == expected.reselections()
+
+
+def test_random_draws_by_its_seed_and_probability():
+    route = random_bank(1, queries=400, references=400)
+    same, again, other = (run("random:0.3", route, seed=seed) for seed in (5, 5, 6))
+    assert_same(same, again)
+    assert (same.ran != other.ran).any()
+    # 0.3 of the runs, and the cheapest where none was drawn
+    assert same.ran[:, 1:].mean() == pytest.approx(0.3, abs=0.05)
+    assert same.ran[:, 0].mean() == pytest.approx(0.3 + 0.7**3, abs=0.07)
+    assert run("random:1", route).ran.all()
+    assert run("random:0", route).ran.tolist() == [[True, False, False]] * 400
+
+
+def test_random_takes_a_probability_per_technique(bank):
+    trace = rollout(Uniform(np.array([0.0, 1.0, 0.0])), bank, name="often")
+    assert trace.ran.tolist() == [[False, True, False]] * bank.queries
+
+
+class Doubts:
+    """Infos of routes whose p̂ the test decides."""
+
+    def __init__(self, seconds, present=None) -> None:
+        self.seconds = np.array(seconds, np.float64)
+        self.present = np.ones(self.seconds.shape, np.bool_) if present is None else present
+
+    def __call__(self, frame, *p_correct):
+        return {
+            "frame": np.full(len(p_correct), frame),
+            "p_correct": np.array(p_correct),
+            "present": np.array(self.present),
+            "run_seconds": self.seconds,
+        }
+
+
+def test_cascade_holds_the_dear_ones_for_some_frames_after_a_doubt():
+    doubts = Doubts([[5.0, 1.0, 3.0, 2.0]])
+    cascade = Cascade(cheap=2, hold=3, threshold=0.5)
+    cascade.reset(np.array([True]))
+    cheap, everything = [False, True, False, True], [True] * 4
+    # p̂ before any frame says nothing; 0.5 is no doubt; a second doubt begins the hold anew
+    estimates = [0.0, 0.9, 0.5, 0.49, 0.9, 0.9, 0.9, 0.9, 0.1, 0.9, 0.1, 0.9, 0.9, 0.9]
+    expected = "cccaaacc" + "aaaaac"
+    for frame, (p, name) in enumerate(zip(estimates, expected, strict=True), -1):
+        action = cascade.act(None, doubts(frame, p))[0].tolist()
+        assert action == {"c": cheap, "a": everything}[name], frame
+
+
+def test_cascade_doubts_each_route_by_itself_and_forgets_the_masked():
+    doubts = Doubts([[1.0, 2.0, 3.0]] * 3)
+    cascade = Cascade(cheap=1, hold=5)
+    cascade.reset(np.ones(3, np.bool_))
+    actions = cascade.act(None, doubts(4, 0.2, 0.9, 0.2))
+    assert actions.sum(axis=1).tolist() == [3, 1, 3]
+    cascade.reset(np.array([True, False, False]))
+    assert cascade.act(None, doubts(5, 0.9, 0.9, 0.9)).sum(axis=1).tolist() == [1, 1, 3]
+
+
+def test_cascade_runs_no_absent_technique_and_counts_none_as_cheap():
+    present = np.array([[False, True, True, True], [True, False, False, False]])
+    doubts = Doubts([[0.0, 9.0, 1.0, 2.0], [4.0, 0.0, 0.0, 0.0]], present)
+    cascade = Cascade(cheap=2, hold=1)
+    cascade.reset(np.ones(2, np.bool_))
+    calm = cascade.act(None, doubts(3, 0.9, 0.9))
+    assert calm.tolist() == [[False, False, True, True], [True, False, False, False]]
+    assert np.array_equal(cascade.act(None, doubts(4, 0.1, 0.1)), present)
+
+
+def test_cascade_on_a_route_runs_more_where_the_estimate_is_low(bank):
+    trace = run("cascade", bank)
+    low = np.flatnonzero(trace.p_correct[:-1] < 0.5)
+    assert 0 < low.size
+    assert trace.ran[low + 1].all()
+    assert trace.ran[:, :2].all()  # the two cheapest
+
+
+@pytest.mark.parametrize("statistic", STATISTICS)
+@pytest.mark.parametrize("seconds", [(1.0, 2.0, 3.0), (3.0, 1.0, 1.0)])
+def test_oracle_runs_the_cheapest_technique_that_is_right(statistic, seconds):
+    scores = random_bank(5, queries=40).scores
+    bank = ScoreBank(scores, ["T0", "T1", "T2"], seconds, tolerance=1, name="route")
+    truth = bank.truth.matrix()
+    z = loops.standardise_bank(scores)
+    cheapest_first = sorted(range(3), key=lambda t: (seconds[t], t))
+    ran = [[False] * 3 for _ in range(bank.queries)]
+    for q in range(bank.queries):
+        right = []
+        for t in cheapest_first:
+            history = [frame[t] for frame in ran[:q]] + [True]
+            if truth[q, loops.sic(scores[t], history, q, statistic=statistic, z=z[t]).place]:
+                right.append(t)
+        ran[q][(right or cheapest_first)[0]] = True
+    trace = run("oracle", bank, statistic)
+    assert trace.ran.tolist() == ran
+    assert len({tuple(frame) for frame in ran}) > 1  # one alone is not enough
+
+
+def test_oracle_is_as_right_as_its_choice_allows(bank):
+    trace = run("oracle", bank)
+    assert trace.correct.mean() >= max(run(f"single:T{t}", bank).correct.mean() for t in range(3))
+    assert (trace.ran.sum(axis=1) == 1).all()

@@ -1,0 +1,41 @@
+"""The bench runs from its command line, checks itself, and writes what it promises."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+SCRIPT = Path(__file__).parent.parent / "scripts" / "bench.py"
+KEYS = {
+    "sic_vs_numpy",
+    "vector_env_vs_cartpole_vector",
+    "single_env_vs_cartpole",
+    "ppo_vs_constant_env",
+    "sic_share_of_limit",
+}
+
+
+def bench(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-W", "error", str(SCRIPT), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+
+
+def test_quick_bench_writes_finite_ratios(tmp_path):
+    out = tmp_path / "new" / "bench.json"
+    done = bench("--quick", "--out", str(out))
+    assert (done.returncode, done.stderr) == (0, "")
+    ratios = json.loads(out.read_text(encoding="utf-8"))
+    assert ratios.keys() == KEYS
+    assert all(math.isfinite(ratio) and ratio > 0.0 for ratio in ratios.values()), ratios
+    assert all(key in done.stdout for key in KEYS)
+    assert "def gather(" in done.stdout
+
+
+def test_bench_refuses_a_folder_in_one_line(tmp_path):
+    done = bench("--quick", "--out", str(tmp_path))
+    assert done.returncode == 2
+    assert "name a file" in done.stderr
+    assert done.stderr.count("\n") == 1

@@ -1,0 +1,412 @@
+"""Comparisons: rows, means, names, what is kept and what is run again, tables and figures."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from env_cases import random_bank
+from test_rollout import Cycle, assert_same
+
+from amusic_gym import comparison_files
+from amusic_gym.bank import ScoreBank
+from amusic_gym.comparison import (
+    Contestant,
+    all_subsets,
+    check_weights,
+    compare,
+    distinct,
+    draw,
+    file_stem,
+    table,
+)
+from amusic_gym.metrics import summarise
+from amusic_gym.policy import Context
+from amusic_gym.rollout import rollout
+from baselines import make_policy
+
+ROW_KEYS = [
+    "bank",
+    "policy",
+    "compute_weight",
+    "statistic",
+    "costs",
+    "queries",
+    "accuracy",
+    "auc",
+    "auc_vprbench",
+    "ptr",
+    "compute",
+    "seconds_per_frame",
+    "reselections",
+    "idle",
+    "median_error",
+    "lost",
+]  # as other programs read them
+
+
+class Weighted(Cycle):
+    """Runs as many techniques as its compute weight says."""
+
+    def act(self, observation, info):
+        slots = info["present"].shape[1]
+        return np.arange(slots) < info["compute_weight"][:, None]
+
+
+def weighted(context: Context) -> Weighted:
+    return Weighted(statistic="mean")
+
+
+class Lineup:
+    """The contestants of a test; counts how often each is run."""
+
+    def __init__(self, *names: str, weights: Sequence[float] = (), version: str = "") -> None:
+        self.names = names
+        self.weights = tuple(weights)
+        self.version = version
+        self.runs: list[str] = []
+
+    def make(self, name: str, context: Context):
+        policy = weighted(context) if name == "weighted" else make_policy(name, context)
+        reset, runs = policy.reset, self.runs
+
+        def counted(*arguments):
+            runs.append(f"{context.bank.name} {name}")
+            reset(*arguments)
+
+        policy.reset = counted
+        return policy
+
+    def __call__(self, bank: ScoreBank) -> list[Contestant]:
+        return [
+            Contestant(
+                name,
+                lambda context, name=name: self.make(name, context),
+                self.weights if name == "weighted" else (None,),
+                self.version,
+            )
+            for name in self.names
+        ]
+
+
+@pytest.fixture
+def said() -> list[str]:
+    return []
+
+
+def two_banks() -> list[ScoreBank]:
+    return [random_bank(1, queries=20), random_bank(2, queries=30)]
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def test_a_row_for_every_policy_weight_and_bank(tmp_path, said):
+    banks = two_banks()
+    lineup = Lineup("music", "weighted", "raw:T0", weights=[1.0, 3.0])
+    result = compare(banks, lineup, tmp_path, report=said.append)
+    seen = [(r["bank"], r["policy"], r["compute_weight"], r["statistic"]) for r in result.rows]
+    assert seen == [
+        (bank.name, *rest)
+        for bank in banks
+        for rest in [
+            ("music", None, "evidence"),
+            ("weighted", 1.0, "mean"),
+            ("weighted", 3.0, "mean"),
+            ("raw:T0", None, "none"),
+        ]
+    ]
+    assert [len(row) for row in result.rows] == [len(ROW_KEYS)] * 8
+    assert result.rows[1]["ptr"] == pytest.approx(1 / 3)
+    assert result.rows[2]["ptr"] == 1
+    assert [line.split("]")[0] for line in said] == [f"[{n}/8" for n in range(1, 9)]
+
+
+def test_results_file_is_what_other_programs_read(tmp_path):
+    result = compare(two_banks(), Lineup("music", "amusic"), tmp_path, report=len)
+    stored = json.loads((tmp_path / "results.json").read_text("utf-8"))
+    assert list(stored) == ["rows", "mean"]
+    assert stored == {"rows": result.rows, "mean": result.mean}
+    assert all(list(row) == ROW_KEYS for row in stored["rows"] + stored["mean"])
+    for row in stored["mean"]:
+        of_banks = [r for r in stored["rows"] if r["policy"] == row["policy"]]
+        assert row["bank"] == "mean"
+        assert row["auc"] == pytest.approx(np.mean([r["auc"] for r in of_banks]))
+
+
+def test_traces_are_the_rollouts_and_lie_beside_the_results(tmp_path):
+    bank = random_bank(4, queries=25)
+    result = compare([bank], Lineup("amusic", "single:T1"), tmp_path, statistic="mean", report=len)
+    context = Context.of(bank, statistic="mean")
+    for trace in result.traces:
+        policy = make_policy(trace.policy, context)
+        assert_same(trace, rollout(policy, bank, name=trace.policy, statistic="mean"))
+    names = ["bank4-amusic.csv", "bank4-single_T1.csv"]
+    assert sorted(path.name for path in (tmp_path / "traces").iterdir()) == names
+    with (tmp_path / "traces" / names[1]).open(encoding="utf-8") as file:
+        lines = list(csv.DictReader(file))
+    assert [int(line["prediction"]) for line in lines] == result.traces[1].predictions.tolist()
+    assert {line["techniques"] for line in lines} == {"T1"}
+
+
+def test_what_is_finished_is_not_run_again(tmp_path, said):
+    lineup = Lineup("amusic", "weighted", "raw:T0", weights=[1.0, 2.0])
+    first = compare(two_banks(), lineup, tmp_path, report=len)
+    assert len(lineup.runs) == 8
+    before = files(tmp_path)
+    again = compare(two_banks(), lineup, tmp_path, report=said.append)
+    assert len(lineup.runs) == 8
+    assert all(line.endswith("(was finished)") for line in said)
+    assert files(tmp_path) == before
+    assert again.rows == first.rows
+    for one, other in zip(first.traces, again.traces, strict=True):
+        assert_same(one, other)
+
+
+def test_what_is_added_is_run_alone(tmp_path):
+    compare(two_banks()[:1], Lineup("music"), tmp_path, report=len)
+    lineup = Lineup("single:T0", "music")
+    result = compare(two_banks(), lineup, tmp_path, report=len)
+    assert lineup.runs == ["bank1 single:T0", "bank2 single:T0", "bank2 music"]
+    fresh = compare(two_banks(), Lineup("single:T0", "music"), tmp_path / "fresh", report=len)
+    assert result.rows == fresh.rows
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"statistic": "mean"},
+        {"seed": 1},
+        {"version": "other weights"},
+        {"banks": [random_bank(1, queries=20, levels=13)]},
+        {"banks": [random_bank(1, queries=20, tolerance=1)]},
+        {"banks": [random_bank(1, queries=20).with_costs("runs")]},
+        {"banks": [random_bank(1, queries=20, names=["T0", "T1", "X"])]},
+        {"code": "changed"},
+        {"release": "9.9"},
+    ],
+)
+def test_25_whatever_may_change_a_row_makes_it_run_again(tmp_path, monkeypatch, change):
+    bank = random_bank(1, queries=20)
+    compare([bank], Lineup("random:0.5"), tmp_path, report=len)
+    if "code" in change:
+        monkeypatch.setattr(comparison_files, "code_digest", lambda package: "changed")
+    if "release" in change:
+        monkeypatch.setattr("amusic_gym.comparison.__version__", "9.9")
+    lineup = Lineup("random:0.5", version=change.get("version", ""))
+    options = {key: change[key] for key in ("statistic", "seed") if key in change}
+    compare(change.get("banks", [bank]), lineup, tmp_path, report=len, **options)
+    assert len(lineup.runs) == 1
+
+
+def test_bank_on_disk_is_known_by_its_content(tmp_path):
+    bank = random_bank(1)
+    stored = ScoreBank.load(bank.save(tmp_path / "bank"))
+    other = ScoreBank.load(random_bank(2, name="bank1").save(tmp_path / "other"))
+    identity = comparison_files.bank_identity
+    assert identity(stored) == identity(ScoreBank.load(tmp_path / "bank"))
+    assert identity(stored) != identity(other)
+    assert identity(stored) != identity(stored.subset(["T0", "T1"]))
+    assert identity(stored) != identity(stored.with_costs("runs"))
+
+
+def test_code_digest_changes_with_names_and_contents(tmp_path):
+    digest = comparison_files.code_digest
+    seen = {digest(tmp_path)}
+    for name, text in [("a.py", "1"), ("a.py", "2"), ("b.json", "2"), ("a.txt", "2")]:
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        seen.add(digest(tmp_path))
+    assert len(seen) == 4  # the text file is no code
+
+
+@pytest.mark.parametrize("damage", ["truncated", "empty", "garbage", "flipped", "other"])
+def test_23_damaged_row_is_noticed_and_computed_again(tmp_path, said, damage):
+    bank = random_bank(1, queries=20)
+    first = compare([bank], Lineup("music"), tmp_path, report=len)
+    (path,) = (tmp_path / "rows").iterdir()
+    content = path.read_bytes()
+    at = content.index(b'"predictions": [') + len(b'"predictions": [')
+    path.write_bytes(
+        {
+            "truncated": content[: len(content) // 2],
+            "empty": b"",
+            "garbage": b"\xff\x00garbage",
+            "flipped": content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :],
+            "other": b"[1, 2]",
+        }[damage]
+    )
+    lineup = Lineup("music")
+    again = compare([bank], lineup, tmp_path, report=said.append)
+    assert len(lineup.runs) == 1
+    assert f"{path} is damaged" in said[0]
+    assert "computed again" in said[0]
+    assert again.rows == first.rows
+    assert path.read_bytes() == content
+
+
+class Interrupted(Cycle):
+    """Ctrl-C in the middle of a route."""
+
+    def act(self, observation, info):
+        if info["frame"][0] == 4:
+            raise KeyboardInterrupt
+        return super().act(observation, info)
+
+
+def test_34_interrupt_keeps_what_is_finished(tmp_path):
+    bank = random_bank(1, queries=20)
+
+    def interrupted(bank):
+        stop = Contestant("stop", lambda context: Interrupted())
+        return [*Lineup("music", "amusic")(bank), stop, *Lineup("cascade")(bank)]
+
+    with pytest.raises(KeyboardInterrupt):
+        compare([bank], interrupted, tmp_path, report=len)
+    kept = files(tmp_path)
+    assert len(kept) == 4  # two rows, two traces
+    lineup = Lineup("music", "amusic", "cascade")
+    compare([bank], lineup, tmp_path, report=len)
+    assert lineup.runs == ["bank1 cascade"]
+    assert kept.items() <= files(tmp_path).items()
+
+
+def test_nothing_runs_when_a_policy_is_wrong(tmp_path):
+    lineup = Lineup("music", "single:T9")
+    with pytest.raises(ValueError, match="unknown technique 'T9'"):
+        compare(two_banks(), lineup, tmp_path / "out", report=len)
+    assert lineup.runs == []
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_cannot_be_compared_is_refused(tmp_path):
+    one, other = two_banks()
+    with pytest.raises(ValueError, match="no score bank to compare on"):
+        compare([], Lineup("music"), tmp_path)
+    with pytest.raises(ValueError, match="no policy to compare"):
+        compare([one], Lineup(), tmp_path)
+    with pytest.raises(ValueError, match=r"different costs \(measured, runs\)"):
+        compare([one, other.with_costs("runs")], Lineup("music"), tmp_path)
+    with pytest.raises(ValueError, match="seed is -1; give a whole number >= 0"):
+        compare([one], Lineup("music"), tmp_path, seed=-1)
+
+
+def test_mean_is_over_the_policies_that_every_bank_has(tmp_path):
+    one, other = random_bank(1, queries=20), random_bank(2, queries=20, names=["A", "B", "C"])
+
+    def lineup(bank):
+        return Lineup("music", f"single:{bank.techniques[0]}")(bank)
+
+    result = compare([one, other], lineup, tmp_path, report=len)
+    assert [row["policy"] for row in result.mean] == ["music"]
+    assert table(result).count("single:A") == 1
+    draw(result, tmp_path / "figures")
+
+
+def test_banks_of_one_name_are_numbered(tmp_path):
+    banks = [random_bank(seed, queries=20, name="bank") for seed in (1, 2)]
+    banks += [random_bank(3, queries=20, name=name) for name in ("", "mean", "Bank")]
+    result = compare(banks, Lineup("music"), tmp_path, report=len)
+    names = ["bank", "bank (2)", "bank (3)", "mean (2)", "Bank (4)"]
+    assert [row["bank"] for row in result.rows] == names
+    assert [bank.name for bank in banks[:2]] == ["bank", "bank"]
+    assert len(list((tmp_path / "traces").iterdir())) == 5
+
+
+def test_distinct_names_and_file_stems():
+    assert distinct(["a", "A", "a (2)", "a"]) == ["a", "A (2)", "a (2) (2)", "a (3)"]
+    assert file_stem("ppo:../run 1/x") == "ppo_.._run_1_x"
+    assert file_stem("subset:A+B") == "subset_A+B"
+    assert file_stem("../..") == "unnamed"
+    assert len(file_stem("x" * 500)) <= 80
+    assert file_stem("Straße") == "Straße"
+
+
+def test_repeated_policies_and_weights_run_once(tmp_path):
+    bank = random_bank(1, queries=20)
+    once = Lineup("music")(bank)
+    result = compare([bank], lambda bank: [*once, *once], tmp_path, report=len)
+    assert len(result.rows) == 1
+    assert check_weights([1, 0.5, 1.0]) == (1.0, 0.5)
+    for wrong in (-1.0, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="compute weight is .*; give numbers >= 0"):
+            check_weights([1.0, wrong])
+
+
+def test_all_subsets_of_a_bank():
+    assert all_subsets(["A"]) == ["single:A"]
+    assert all_subsets(["A", "B"]) == ["single:A", "single:B", "music"]
+    assert all_subsets(["A", "B", "C"])[3:] == ["subset:A+B", "subset:A+C", "subset:B+C", "music"]
+    six = all_subsets("ABCDEF")
+    assert len(set(six)) == len(six) == 63
+    with pytest.raises(ValueError, match="7 techniques have 127 subsets, too many"):
+        all_subsets("ABCDEFG")
+
+
+def test_table_says_what_the_rows_say(tmp_path):
+    lineup = Lineup("amusic", "weighted", weights=[0.1])
+    result = compare(two_banks(), lineup, tmp_path, report=len)
+    blocks = table(result).split("\n\n")
+    assert [block.splitlines()[0] for block in blocks] == [
+        "bank1 (20 frames, measured costs)",
+        "bank2 (30 frames, measured costs)",
+        "mean over 2 banks (50 frames, measured costs)",
+    ]
+    heads, amusic, weighted_line = (line.split() for line in blocks[0].splitlines()[1:])
+    assert heads[:4] == ["policy", "λ", "SIC", "accuracy"]
+    row = result.rows[0]
+    assert amusic[:3] == ["amusic", "mean", f"{row['accuracy']:.4f}"]
+    assert weighted_line[:3] == ["weighted", "0.1", "mean"]
+
+
+def figure_names(tmp_path, *names, weights=(1.0,), banks=None) -> set[str]:
+    result = compare(banks or two_banks(), Lineup(*names, weights=weights), tmp_path, report=len)
+    figures = draw(result, tmp_path)
+    for figure in figures:
+        assert Path(figure.path).read_bytes().startswith(b"\x89PNG")
+        assert figure.caption.endswith(".")
+    assert {Path(figure.path) for figure in figures} == set(tmp_path.glob("*.png"))
+    return {Path(figure.path).name for figure in figures}
+
+
+def test_figures_of_every_bank_and_of_their_mean(tmp_path):
+    assert figure_names(tmp_path, "amusic", "music", "weighted", weights=[1.0, 2.0]) == {
+        "front-mean.png",
+        "shares.png",
+        *(
+            f"{kind}-bank{n}.png"
+            for kind in ("front", "precision_recall", "selections")
+            for n in (1, 2)
+        ),
+    }
+
+
+def test_figures_leave_out_what_there_is_not(tmp_path):
+    bank = [random_bank(1, queries=20)]
+    assert figure_names(tmp_path / "a", "raw:T0", banks=bank) == {"precision_recall-bank1.png"}
+    assert figure_names(tmp_path / "b", "single:T0", banks=bank) == {
+        "front-bank1.png",
+        "precision_recall-bank1.png",
+    }
+
+
+def test_figures_of_many_policies(tmp_path):
+    bank = random_bank(1, techniques=5, queries=20)
+    names = [*all_subsets(bank.techniques), *(f"random:0.{n}" for n in range(1, 10)), "weighted"]
+    weights = [0.1, 0.2, 0.5, 1.0, 2.0, 3.0]
+    assert len(figure_names(tmp_path, *names, weights=weights, banks=[bank])) == 4
+
+
+def test_summary_of_a_kept_row_is_stored_beside_its_trace(tmp_path):
+    result = compare([random_bank(1)], Lineup("amusic"), tmp_path, report=len)
+    (path,) = (tmp_path / "rows").iterdir()
+    stored = json.loads(path.read_text("utf-8"))
+    assert stored["row"] == result.rows[0] == summarise(result.traces[0])

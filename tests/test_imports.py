@@ -1,0 +1,149 @@
+"""Imports point one way, and importing the package loads nothing heavy."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+HEAVY = ("torch", "cv2", "stable_baselines3", "matplotlib", "numba", "scipy.stats")
+OURS = {"amusic_gym", "baselines", "agents", "scripts", "tests"}
+
+# What each package may use of the others.
+ALLOWED = {
+    "amusic_gym": set(),
+    "baselines": {"amusic_gym"},
+    "agents": {"amusic_gym"},
+    "scripts": {"amusic_gym", "baselines", "agents"},
+}
+
+# Inside amusic_gym: what a part must not use, because that part is built on it.
+ROLLOUT = {"rollout", "comparison"}
+ENVS = {"env", "vector_env"} | ROLLOUT
+EPISODES = {"episode", "task", "dynamics"} | ENVS
+FORBIDDEN = {
+    "bank": EPISODES,
+    "sic": EPISODES | {"bank"},
+    "trace": EPISODES,
+    "metrics": EPISODES,
+    "routes": EPISODES,
+    "techniques": EPISODES,
+    "dynamics": {"episode", "task"} | ENVS,
+    "observation": {"episode", "task", "dynamics"} | ENVS,
+    "episode": {"task"} | ENVS,
+    "task": ENVS,
+    "env": {"vector_env"} | ROLLOUT,
+    "vector_env": {"env"} | ROLLOUT,
+    "policy": EPISODES,
+}
+
+
+def loaded_after(code: str) -> set[str]:
+    """Names of the modules that a new process holds after ``code``."""
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", f"{code}\nimport sys; print(*sys.modules)"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        timeout=120,
+        check=True,
+    )
+    return set(done.stdout.split())
+
+
+def imports(source: str) -> set[str]:
+    """Dotted names that a source file imports anywhere but for type checking."""
+    found = set()
+    pending: list[ast.AST] = [ast.parse(source)]
+    while pending:
+        node = pending.pop()
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            pending.extend(node.orelse)
+            continue
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute"
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+        pending.extend(ast.iter_child_nodes(node))
+    return found
+
+
+def files(folder: Path) -> list[Path]:
+    return sorted(folder.rglob("*.py"))
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    loaded = loaded_after("import amusic_gym")
+    assert {"amusic_gym", "numpy", "gymnasium"} <= loaded
+    assert not loaded.intersection(HEAVY)
+    known = {"numpy", "gymnasium", "amusic_gym"}
+    plain = loaded_after("import numpy, gymnasium")
+    added = {name.split(".")[0] for name in loaded - plain}
+    assert added - set(sys.stdlib_module_names) - {"__main__"} <= known
+
+
+def test_an_episode_needs_numba_but_nothing_else_heavy():
+    loaded = loaded_after(
+        "import gymnasium as gym\n"
+        "env = gym.make('amusic_gym:amusic_gym/TechniqueSelection-v0')\n"
+        "env.reset(seed=0)\n"
+        "env.step(env.action_space.sample())\n"
+    )
+    assert loaded.intersection(HEAVY) == {"numba"}
+
+
+def test_policies_that_are_not_learned_need_no_network():
+    loaded = loaded_after("import baselines, amusic_gym.rollout, amusic_gym.metrics")
+    assert not loaded.intersection(set(HEAVY) - {"numba"})
+
+
+@pytest.mark.parametrize("package", ALLOWED)
+def test_packages_import_one_way(package):
+    wrong = []
+    for file in files(ROOT / package):
+        for name in imports(file.read_text(encoding="utf-8")):
+            top = name.split(".")[0]
+            if top in OURS - {package} - ALLOWED[package]:
+                wrong.append(f"{file.relative_to(ROOT)} imports {name}")
+    assert not wrong
+
+
+@pytest.mark.parametrize("part", FORBIDDEN)
+def test_parts_import_one_way(part):
+    folder = ROOT / "amusic_gym"
+    sources = [folder / f"{part}.py"] if (folder / f"{part}.py").is_file() else files(folder / part)
+    wrong = []
+    for file in sources:
+        for name in imports(file.read_text(encoding="utf-8")):
+            pieces = name.split(".")
+            if pieces[0] == "amusic_gym" and FORBIDDEN[part].intersection(pieces[1:2]):
+                wrong.append(f"{file.relative_to(ROOT)} imports {name}")
+    assert not wrong
+
+
+def test_the_walk_sees_every_kind_of_import():
+    source = """
+from __future__ import annotations
+import torch.nn as nn
+if TYPE_CHECKING:
+    from agents import hidden
+else:
+    import scipy
+def later():
+    from amusic_gym import env
+    class Inner:
+        import baselines.amusic
+"""
+    assert imports(source) == {
+        "__future__.annotations",
+        "torch.nn",
+        "scipy",
+        "amusic_gym.env",
+        "baselines.amusic",
+    }

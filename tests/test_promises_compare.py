@@ -1,0 +1,202 @@
+"""What the project promises of scripts/compare.py and scripts/correctness.py, in processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from env_cases import random_bank
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# Ctrl-C must reach a script although a shell may have started these tests with it ignored.
+LISTENING = (
+    "import runpy, signal, sys;"
+    "signal.signal(signal.SIGINT, signal.default_int_handler);"
+    "sys.argv = sys.argv[1:]; sys.path.insert(0, sys.argv[0].rpartition('/')[0]);"
+    "runpy.run_path(sys.argv[0], run_name='__main__')"
+)
+
+
+def command(script: str, *arguments: object) -> list[str]:
+    path = (ROOT / "scripts" / script).as_posix()
+    return [sys.executable, "-W", "error", "-c", LISTENING, path, *map(str, arguments)]
+
+
+def run(script: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command(script, *arguments), capture_output=True, text=True, timeout=240, check=False
+    )
+
+
+@pytest.fixture(scope="module")
+def banks(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("banks")
+    first = random_bank(1, queries=60, name="first").save(folder / "first")
+    return first, random_bank(2, queries=30, name="second").save(folder / "second")
+
+
+def rows(out: Path) -> dict[str, bytes]:
+    """What is finished, file by file."""
+    return {
+        path.name: path.read_bytes()
+        for kind in ("rows/*.json", "traces/*.csv")
+        for path in out.glob(kind)
+    }
+
+
+def results(out: Path) -> dict:
+    return json.loads((out / "results.json").read_text("utf-8"))
+
+
+MANY = [f"random:{n / 100}" for n in range(1, 100)]
+
+
+@pytest.mark.parametrize(
+    ("number", "status"), [(signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)]
+)
+def test_34_35_a_stopped_comparison_keeps_and_skips_what_is_finished(
+    tmp_path, banks, number, status
+):
+    out = tmp_path / "out"
+    arguments = ["--bank", banks[0], "--policy", *MANY, "--out", out]
+    process = subprocess.Popen(
+        command("compare.py", *arguments),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    first = process.stdout.readline()
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == status
+    assert first.startswith("[1/99] first random:0.01: auc 0.")
+    if number == signal.SIGINT:
+        assert errors == "interrupted; what was finished is kept\n"
+    kept = rows(out)
+    finished = len(list(out.glob("rows/*.json")))
+    assert 1 <= finished < 99
+    assert not (out / "results.json").exists()
+
+    again = run("compare.py", *arguments)
+    assert again.returncode == 0, again.stderr
+    assert again.stdout.count("(was finished)") == finished
+    assert kept.items() <= rows(out).items()
+    whole = run("compare.py", *arguments[:-1], tmp_path / "whole")
+    assert whole.stdout.count("(was finished)") == 0
+    assert results(out) == results(tmp_path / "whole")
+    assert rows(out) == rows(tmp_path / "whole")
+
+
+def test_compare_writes_table_results_traces_and_figures(tmp_path, banks):
+    done = run(
+        "compare.py",
+        *("--bank", banks[0], "--bank", banks[1], "--policy", "amusic", "--policy", "raw:T0"),
+        *("cascade", "--all-subsets", "--statistic", "mean", "--costs", "runs"),
+        *("--seed", 3, "--out", tmp_path),
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    policies = ["amusic", "raw:T0", "cascade", "single:T0", "single:T1", "single:T2"]
+    policies += ["subset:T0+T1", "subset:T0+T2", "subset:T1+T2", "music"]
+    stored = results(tmp_path)
+    assert [row["policy"] for row in stored["rows"]] == policies * 2
+    assert [row["policy"] for row in stored["mean"]] == policies
+    assert {row["statistic"] for row in stored["rows"]} == {"mean", "none"}
+    assert {row["costs"] for row in stored["rows"]} == {"runs"}
+    assert all(row["compute_weight"] is None for row in stored["rows"])
+    assert len(list(tmp_path.glob("traces/*.csv"))) == 20
+    assert len(list(tmp_path.glob("*.png"))) == 8
+    assert "second (30 frames, runs costs)" in done.stdout
+    assert "mean over 2 banks" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--policy", "amusci"], "unknown policy 'amusci': did you mean 'amusic'?"),
+        (["--policy", "subset:T0+T9"], "unknown technique 'T9'"),
+        (["--policy", "ppo"], "policy 'ppo' needs a trained run"),
+        (["--policy", "ppo:nowhere"], "nowhere is no run folder"),
+        (["--policy", "music", "--statistic", "evidance"], "did you mean 'evidence'?"),
+        (["--policy", "music", "--costs", "paper"], "the paper gives no time for technique 'T0'"),
+        (["--policy", "music", "--seed", "-1"], "seed is -1; give a whole number >= 0"),
+        (["--policy", "music", "--seed", "1.5"], "argument --seed: invalid int value: '1.5'"),
+        (["--polcy", "music"], "did you mean '--policy'?"),
+        ([], "no policy; give --policy, --all-subsets or both"),
+        (["--policy", "music", "--bank", "nowhere"], "nowhere"),
+    ],
+)
+def test_10_bad_arguments_are_one_line_and_status_2(tmp_path, banks, arguments, sentence):
+    out = tmp_path / "out"
+    refused = run("compare.py", "--bank", banks[0], "--out", out, *arguments)
+    assert refused.returncode == 2
+    assert refused.stdout == ""
+    assert refused.stderr.count("\n") == 1
+    assert sentence in refused.stderr
+    assert not out.exists()
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run folder whose selector was never trained."""
+    import torch
+
+    from agents import run_folder
+    from agents.network import NetworkConfig, SelectorNetwork
+
+    folder = tmp_path_factory.mktemp("run")
+    torch.manual_seed(0)
+    config = NetworkConfig()
+    run_folder.write_selector(folder, SelectorNetwork(config), config)
+    run_folder.write_config(
+        folder, {"versions": run_folder.versions("evidence"), "environment": {}}
+    )
+    return folder
+
+
+def test_38_learned_selector_has_a_row_per_compute_weight_and_keeps_its_statistic(
+    tmp_path, banks, trained
+):
+    policy = f"ppo:{trained}"
+    arguments = ["--bank", banks[1], "--policy", policy, "music", "--out", tmp_path / "out"]
+    done = run("compare.py", *arguments, "--compute-weight", 0.1, 2)
+    assert (done.returncode, done.stderr) == (0, "")
+    found = [
+        (r["policy"], r["compute_weight"], r["statistic"])
+        for r in results(tmp_path / "out")["rows"]
+    ]
+    assert found == [
+        (policy, 0.1, "evidence"),
+        (policy, 2.0, "evidence"),
+        ("music", None, "evidence"),
+    ]
+    more = run("compare.py", *arguments, "--compute-weight", 2, 4)
+    assert more.stdout.count("(was finished)") == 2
+
+    refused = run("compare.py", *arguments, "--statistic", "mean")
+    assert refused.returncode == 2
+    assert "was trained with the statistic 'evidence' and takes no other" in refused.stderr
+    assert refused.stderr.count("\n") == 1
+
+
+def test_correctness_reports_every_technique(tmp_path, banks):
+    done = run("correctness.py", "--bank", *banks, "--out", tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    report = json.loads((tmp_path / "correctness.json").read_text("utf-8"))
+    assert report["statistic"] == "evidence"
+    assert [(part["bank"], part["technique"]) for part in report["techniques"]] == [
+        (bank, f"T{t}") for bank in ("first", "second") for t in range(3)
+    ]
+    assert report["pooled"]["frames"] == 3 * (60 + 30)
+    assert (tmp_path / "reliability.png").read_bytes().startswith(b"\x89PNG")
+    assert "pooled" in done.stdout
+    missing = run("correctness.py", "--bank", tmp_path / "none", "--out", tmp_path / "out")
+    assert missing.returncode == 2
+    assert missing.stderr.count("\n") == 1
+    assert os.fspath(tmp_path / "none") in missing.stderr

@@ -1,0 +1,174 @@
+"""Rollouts: what is recorded, routes of different size in one call, and the two protocols."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from env_cases import random_bank
+
+from amusic_gym.bank import ScoreBank
+from amusic_gym.env import TechniqueSelectionEnv
+from amusic_gym.policy import Context, Localiser, Needs, Selector
+from amusic_gym.rollout import Job, rollout, rollouts
+from amusic_gym.trace import Trace
+from baselines import make_policy
+
+ARRAYS = (
+    "predictions",
+    "confidence",
+    "p_correct",
+    "chosen",
+    "ran",
+    "late_runs",
+    "selections",
+    "correct",
+    "has_place",
+    "error",
+)
+
+
+def assert_same(one: Trace, other: Trace) -> None:
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    assert (one.bank, one.techniques) == (other.bank, other.techniques)
+
+
+class Cycle:
+    """Runs one technique after the other; keeps what it is shown."""
+
+    def __init__(self, **needs) -> None:
+        self.needs = Needs(**needs)
+        self.resets: list[np.ndarray] = []
+        self.weights: list[np.ndarray] = []
+
+    def reset(self, mask):
+        self.resets.append(mask.copy())
+
+    def act(self, observation, info):
+        self.weights.append(info["compute_weight"].copy())
+        turn = (info["frame"] + 1) % info["present"].sum(axis=1)
+        actions = np.zeros(info["present"].shape, np.bool_)
+        actions[np.arange(turn.size), turn] = True
+        if self.needs.reselection is not None:
+            actions = np.column_stack([actions, (info["frame"] + 1) % 7 == 3])
+        return actions
+
+
+class SecondBest:
+    """A localiser that asks for a row twice and reports its second best place."""
+
+    def reset(self, references, techniques):
+        self.sizes = references, techniques
+
+    def locate(self, frame, run):
+        row = run(1)
+        assert run(1) is not None
+        return int(np.argsort(row)[-2]), float(frame)
+
+
+def banks_of_all_sizes() -> list[ScoreBank]:
+    return [
+        random_bank(1, techniques=3, queries=40, references=60),
+        random_bank(2, techniques=1, queries=1, references=1, tolerance=0),
+        random_bank(3, techniques=5, queries=13, references=80),
+        random_bank(4, techniques=2, queries=75, references=75),
+    ]
+
+
+@pytest.mark.parametrize("needs", [{}, {"reselection": 4}, {"allow_idle": True}])
+@pytest.mark.parametrize("statistic", ["mean", "evidence"])
+def test_routes_of_different_size_at_once_equal_one_at_a_time(needs, statistic):
+    banks = banks_of_all_sizes()
+    together = rollouts(
+        Cycle(**needs), [Job(bank) for bank in banks], name="cycle", statistic=statistic
+    )
+    for bank, trace in zip(banks, together, strict=True):
+        assert trace.queries == bank.queries
+        assert trace.ran.shape == (bank.queries, len(bank.techniques))
+        assert_same(trace, rollout(Cycle(**needs), bank, name="cycle", statistic=statistic))
+
+
+def test_order_of_the_routes_does_not_matter():
+    banks = banks_of_all_sizes()
+    forwards = rollouts(Cycle(reselection=3), [Job(bank) for bank in banks], name="cycle")
+    backwards = rollouts(Cycle(reselection=3), [Job(bank) for bank in banks[::-1]], name="cycle")
+    for one, other in zip(forwards, backwards[::-1], strict=True):
+        assert_same(one, other)
+
+
+def test_trace_is_what_the_single_environment_says(bank):
+    trace = rollout(Cycle(reselection=4), bank, name="cycle", statistic="mean")
+    env = TechniqueSelectionEnv(bank, statistic="mean", reselection=4)
+    env.reset(seed=0)
+    policy = Cycle(reselection=4)
+    info = {"frame": np.array([-1]), "present": np.ones((1, 3), np.bool_)}
+    for frame in range(bank.queries):
+        action = policy.act(None, {**info, "compute_weight": np.ones(1)})[0]
+        _, _, terminated, _, said = env.step(action)
+        assert trace.predictions[frame] == said["prediction"]
+        assert trace.confidence[frame] == said["confidence"]
+        assert trace.p_correct[frame] == said["p_correct"]
+        assert trace.chosen[frame] == said["technique"]
+        assert trace.ran[frame].tolist() == said["ran"].tolist()
+        assert trace.late_runs[frame].tolist() == said["selection"]["late_runs"].tolist()
+        assert trace.selections[frame] == said["selection"]["happened"]
+        info["frame"] = np.array([said["frame"]])
+    assert terminated
+    assert trace.late_runs.sum() > 0
+
+
+def test_policy_sees_each_routes_compute_weight_and_one_reset(bank):
+    policy = Cycle()
+    traces = rollouts(policy, [Job(bank, 0.25), Job(bank, 4.0), Job(bank)], name="cycle")
+    assert [trace.compute_weight for trace in traces] == [0.25, 4.0, None]
+    assert len(policy.resets) == 1
+    assert policy.resets[0].all()
+    assert np.array_equal(policy.weights, np.tile([0.25, 4.0, 1.0], (bank.queries, 1)))
+
+
+def test_needs_come_before_what_the_user_chose(bank):
+    own = rollout(Cycle(statistic="mean"), bank, name="cycle", statistic="evidence")
+    chosen = rollout(Cycle(), bank, name="cycle", statistic="mean")
+    assert own.statistic == chosen.statistic == "mean"
+    assert_same(own, chosen)
+    assert rollout(Cycle(), bank, name="cycle").statistic == "evidence"
+    few = rollout(Cycle(extra={"candidates": 1}), bank, name="cycle")
+    assert (few.predictions != rollout(Cycle(), bank, name="cycle").predictions).any()
+
+
+def test_localiser_is_charged_for_the_rows_it_asked_for(bank):
+    policy = SecondBest()
+    trace = rollout(policy, bank, name="second", statistic="mean")
+    assert policy.sizes == (bank.references, len(bank.techniques))
+    expected = [int(np.argsort(bank.row(1, q))[-2]) for q in range(bank.queries)]
+    assert trace.predictions.tolist() == expected
+    assert trace.confidence.tolist() == list(range(bank.queries))
+    assert trace.ran.tolist() == [[False, True, False]] * bank.queries
+    assert trace.runs.sum() == bank.queries
+    assert np.isnan(trace.p_correct).all()
+    assert trace.statistic == "none"
+
+
+def test_protocols_tell_the_policies_apart(bank):
+    context = Context.of(bank, statistic="mean")
+    for name in ("music", "amusic", "oracle", "cascade", "random:0.5"):
+        assert isinstance(make_policy(name, context), Selector)
+    raw = make_policy("raw:T0", context)
+    assert isinstance(raw, Localiser)
+    assert not isinstance(raw, Selector)
+
+
+def test_context_refuses_an_unknown_technique(bank):
+    with pytest.raises(ValueError, match="unknown technique 't1': did you mean 'T1'"):
+        Context.of(bank, statistic="mean").index("t1")
+
+
+def test_a_subset_of_a_bank_is_a_bank(bank):
+    part = bank.subset(["T2", "T0"])
+    trace = rollout(make_policy("music", Context.of(part, statistic="evidence")), part, name="m")
+    whole = rollout(
+        make_policy("subset:T0+T2", Context.of(bank, statistic="evidence")), bank, name="m"
+    )
+    assert trace.techniques == ("T2", "T0")
+    np.testing.assert_array_equal(trace.predictions, whole.predictions)
+    np.testing.assert_array_equal(trace.confidence, whole.confidence)
