@@ -53,15 +53,15 @@ class TrainingConfig:
     seed: int = 0
     n_envs: int = 64
     statistic: str = SICSettings.statistic
-    compute_weights: tuple[float, float] = (0.03, 4.0)
+    compute_weights: tuple[float, float] = (0.03, 3.0)
     pool: int = 256
     n_steps: int = 64
     batch_size: int = 1024
     epochs: int = 4
-    learning_rate: float = 1e-3
+    learning_rate: float = 5e-4
     discount: float = 0.95
     gae_lambda: float = 0.9
-    entropy: float = 0.003
+    entropy: float = 0.01
     evaluate_every: int = 200_000
     held_out: int = 16
     network: NetworkConfig = field(default_factory=NetworkConfig)
@@ -73,9 +73,7 @@ class TrainingConfig:
             if not isinstance(value, int) or value < least:
                 raise ValueError(f"{name} is {value!r}; give a whole number >= {least}")
         if not isinstance(self.seed, int) or not 0 <= self.seed <= HIGHEST_SEED:
-            raise ValueError(
-                f"seed is {self.seed!r}; give a whole number from 0 to {HIGHEST_SEED}"
-            )
+            raise ValueError(f"seed is {self.seed!r}; give a whole number from 0 to {HIGHEST_SEED}")
         if self.rollout < 2:
             raise ValueError("n_steps * n_envs is 1; raise one of them: an update needs 2 frames")
         SICSettings(statistic=self.statistic)

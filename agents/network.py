@@ -28,6 +28,9 @@ ROUTE_WIDTH = len(ROUTE_FEATURES)
 ABSENT = -20.0
 """Logit of an empty slot."""
 
+WIDEST = 4096
+"""Largest size of a layer: a damaged file must not fill the memory."""
+
 
 @dataclass(frozen=True)
 class NetworkConfig:
@@ -39,11 +42,23 @@ class NetworkConfig:
         first_logit: logit that every technique starts with. Above 0, learning begins with most
             techniques running and finds out which to leave out; from 0 or below it often ends
             with the cheapest technique for ever.
+
+    Raises:
+        ValueError: for a size that is no whole number from 1 to `WIDEST`.
     """
 
     hidden: int = 64
     encoding: int = 32
     first_logit: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse sizes that no network has."""
+        for name in ("hidden", "encoding"):
+            size = getattr(self, name)
+            if not isinstance(size, int) or not 1 <= size <= WIDEST:
+                raise ValueError(f"{name} is {size!r}; give a whole number from 1 to {WIDEST}")
+        if not isinstance(self.first_logit, float | int):
+            raise ValueError(f"first_logit is {self.first_logit!r}; give a number")
 
 
 class SelectorNetwork(nn.Module):

@@ -2,16 +2,20 @@
 
 Layout of a run folder::
 
-    config.json             arguments of the training, versions, best evaluation
+    config.json             arguments of the training, banks, versions, best evaluation
     selector.safetensors    the best selector so far
     checkpoint.safetensors  weights, optimiser and random state of the last checkpoint
     evaluation.csv          timesteps, score, accuracy, compute at every evaluation
-    progress.csv, events.*  Stable-Baselines3's log and TensorBoard's
+    progress.csv, events.*  Stable-Baselines3's log and TensorBoard's; progress-N.csv after a
+                            resume at N timesteps
+
+No file of another program is loaded, above all no zip of Stable-Baselines3: those hold pickles.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -23,12 +27,17 @@ from safetensors.torch import save
 from agents.network import VERSION as NETWORK_VERSION
 from agents.network import NetworkConfig, SelectorNetwork
 from amusic_gym.observation import VERSION as OBSERVATION_VERSION
+from amusic_gym.settings import STATISTICS
 from amusic_gym.trace import write_whole
 
 FORMAT_VERSION = 1
 CONFIG = "config.json"
 SELECTOR = "selector.safetensors"
 CHECKPOINT = "checkpoint.safetensors"
+EVALUATIONS = "evaluation.csv"
+
+ENVIRONMENT = ("candidates", "history", "gamma")
+"""Arguments of the environment that a run may set besides the statistic."""
 
 Tensors = dict[str, torch.Tensor]
 
@@ -60,11 +69,21 @@ def read_config(run: Path) -> dict[str, Any]:
         raise FileNotFoundError(f"{run} is no run folder: {CONFIG} is missing; train one first")
     try:
         config: dict[str, Any] = json.loads(path.read_text("utf-8"))
-        stored = config["versions"]
-    except (json.JSONDecodeError, KeyError, UnicodeDecodeError, TypeError) as error:
+        stored = dict(config["versions"])
+        environment = dict(config["environment"])
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"{path} is damaged ({error}); train the selector again") from error
-    here = versions(stored.get("statistic", "?"))
-    for name, value in here.items():
+    if stored.get("statistic") not in STATISTICS:
+        raise ValueError(
+            f"{run} was trained with the statistic {stored.get('statistic')!r}, this program has"
+            f" {' and '.join(STATISTICS)}; train the selector again"
+        )
+    if unknown := sorted(environment.keys() - set(ENVIRONMENT)):
+        raise ValueError(
+            f"{path} asks for {unknown[0]!r} of the environment, known are"
+            f" {', '.join(ENVIRONMENT)}; train the selector again"
+        )
+    for name, value in versions(stored["statistic"]).items():
         if stored.get(name) != value:
             raise ValueError(
                 f"{run} was trained with {name} version {stored.get(name)}, this program has"
@@ -112,18 +131,32 @@ def read_selector(run: Path) -> SelectorNetwork:
     tensors, metadata = read_tensors(path)
     try:
         config = NetworkConfig(**json.loads(metadata["network"]))
-    except (KeyError, TypeError, json.JSONDecodeError) as error:
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"{path} holds no selector ({error}); train again") from error
     network = SelectorNetwork(config)
-    expected = network.state_dict()
+    check_layers(path, tensors, network.state_dict())
+    network.load_state_dict(tensors)
+    return network.eval()
+
+
+def check_layers(path: Path, tensors: Tensors, expected: Mapping[str, torch.Tensor]) -> None:
+    """Refuse weights that are not those of a network.
+
+    Raises:
+        ValueError: naming the first layer of another name, shape or type, or with NaN.
+    """
     for name in sorted(expected.keys() | tensors.keys()):
         have, want = tensors.get(name), expected.get(name)
-        if have is None or want is None or have.shape != want.shape:
+        if have is None or want is None or (have.shape, have.dtype) != (want.shape, want.dtype):
             raise ValueError(
-                f"{path}: layer {name!r} has shape {None if have is None else tuple(have.shape)},"
-                f" the network needs {None if want is None else tuple(want.shape)}; train again"
+                f"{path}: layer {name!r} is {_kind(have)}, the network needs {_kind(want)};"
+                f" train again"
             )
         if not torch.isfinite(have).all():
             raise ValueError(f"{path}: layer {name!r} holds NaN or infinity; train again")
-    network.load_state_dict(tensors)
-    return network.eval()
+
+
+def _kind(tensor: torch.Tensor | None) -> str:
+    if tensor is None:
+        return "none"
+    return f"{tuple(tensor.shape)} {str(tensor.dtype).removeprefix('torch.')}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import warnings
 from collections.abc import Mapping, Sequence
@@ -59,6 +60,37 @@ def from_arrays(
         name=name,
         source=source or "arrays: " + ", ".join(Path(path).name for path in files.values()),
     )
+
+
+def from_recording(folder: _Path, techniques: Sequence[str] | None = None) -> ScoreBank:
+    """A bank from a recording's folder: scores/NAME.npy, techniques.json, ground_truth.npy.
+
+    ``techniques.json`` holds, per technique, ``encode_s`` and ``match_s``: seconds to encode a
+    frame and to match it with one reference.
+
+    Args:
+        folder: the recording.
+        techniques: which of them, in the bank's order; None: all, by name.
+
+    Raises:
+        FileNotFoundError: when a file is missing.
+        ValueError: for an unknown technique, or a damaged file.
+    """
+    folder = Path(folder)
+    path = folder / "techniques.json"
+    try:
+        times = json.loads(path.read_text("utf-8"))
+        names = list(techniques or sorted(times, key=str.casefold))
+        for name in names:
+            if name not in times:
+                raise ValueError(suggest("technique", name, times))
+        truth = storage.read_array(folder / "ground_truth.npy")
+        per_reference = truth.shape[1]
+        seconds = {n: times[n]["encode_s"] + per_reference * times[n]["match_s"] for n in names}
+    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, IndexError) as error:
+        raise ValueError(f"{path} or the ground truth beside it is damaged: {error}") from error
+    files = {name: folder / "scores" / f"{name}.npy" for name in names}
+    return from_arrays(files, seconds, ground_truth=truth, name=folder.name)
 
 
 def from_vprbench(

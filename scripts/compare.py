@@ -8,69 +8,28 @@ not run again.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 from _cli import Parser, run
+from _contestants import contestants
 
-import baselines
 from amusic_gym.bank import COST_MODELS, ScoreBank
 from amusic_gym.comparison import (
     COMPUTE_WEIGHTS,
     MOST_TECHNIQUES,
-    Contestant,
     all_subsets,
     check_weights,
     compare,
     draw,
     table,
 )
-from amusic_gym.comparison_files import code_digest, file_digest
-from amusic_gym.policy import Context, Policy
 from amusic_gym.settings import STATISTICS, SICSettings
-from baselines import make_policy
-
-BASELINES = Path(baselines.__file__).parent
 
 
-def contestants(args: argparse.Namespace, bank: ScoreBank) -> Sequence[Contestant]:
-    """The policies of the command line on one bank."""
-    specs = [*args.policy, *(all_subsets(bank.techniques) if args.all_subsets else [])]
-    return [_contestant(spec, args) for spec in dict.fromkeys(specs)]
-
-
-def _contestant(spec: str, args: argparse.Namespace) -> Contestant:
-    name, _, folder = spec.partition(":")
-    if name != "ppo":
-        return Contestant(spec, partial(make_policy, spec), version=code_digest(BASELINES))
-    if not folder:
-        raise ValueError(
-            "policy 'ppo' needs a trained run, no selector ships yet: train one with "
-            "scripts/train.py --out RUN and write ppo:RUN"
-        )
-    return _learned(spec, Path(folder), args)
-
-
-def _learned(spec: str, folder: Path, args: argparse.Namespace) -> Contestant:
-    import agents  # these need PyTorch
-    from agents.run_folder import SELECTOR
-    from agents.selector import load_selector
-
-    load_selector(folder)  # refuses what is no run folder
-
-    def make(context: Context) -> Policy:
-        selector = load_selector(folder)
-        own = selector.needs.statistic
-        if args.statistic not in (None, own):
-            raise ValueError(
-                f"{folder} was trained with the statistic {own!r} and takes no other; leave out "
-                f"--statistic {args.statistic} or compare it apart"
-            )
-        return selector
-
-    version = f"{file_digest(folder / SELECTOR)} {code_digest(Path(agents.__file__).parent)}"
-    return Contestant(spec, make, check_weights(args.compute_weight), version)
+def specs(args: argparse.Namespace, bank: ScoreBank) -> list[str]:
+    """The policies of the command line for one bank."""
+    return [*args.policy, *(all_subsets(bank.techniques) if args.all_subsets else [])]
 
 
 def _parser() -> Parser:
@@ -110,12 +69,15 @@ def main() -> None:
     args.policy = args.policy or []
     if not args.policy and not args.all_subsets:
         parser.error("no policy; give --policy, --all-subsets or both")
+    weights = check_weights(args.compute_weight)
     banks = [ScoreBank.load(folder) for folder in args.bank]
     if args.costs:
         banks = [bank.with_costs(args.costs) for bank in banks]
     result = compare(
         banks,
-        partial(contestants, args),
+        lambda bank: contestants(
+            specs(args, bank), statistic=args.statistic, compute_weights=weights
+        ),
         args.out,
         statistic=args.statistic or SICSettings.statistic,
         seed=args.seed,

@@ -6,7 +6,6 @@ The recordings are the banks given by --bank; with the variable AMUSIC_DATA, Cor
 from __future__ import annotations
 
 import csv
-import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.importers import from_arrays
+from amusic_gym.importers import from_recording
 from amusic_gym.plots.drawing import GREY, INK, figure_at
 from amusic_gym.routes.simulate import MOTIONS, Simulation
 from amusic_gym.routes.statistics import MEASURES, describe
@@ -32,22 +31,12 @@ SIMULATED, REAL = "#4C72B0", "#C44E52"
 Rows = dict[str, dict[str, float]]  # "bank technique" -> its measures
 
 
-def corridor(folder: Path) -> ScoreBank:
-    """The real recording Corridor with all its techniques."""
-    times = json.loads((folder / "techniques.json").read_text(encoding="utf-8"))
-    files = {name: folder / "scores" / f"{name}.npy" for name in sorted(times)}
-    references = np.load(next(iter(files.values())), mmap_mode="r").shape[1]
-    seconds = {n: times[n]["encode_s"] + references * times[n]["match_s"] for n in files}
-    truth = np.load(folder / "ground_truth.npy")
-    return from_arrays(files, seconds, ground_truth=truth, name="corridor")
-
-
 def recordings(paths: Sequence[Path]) -> list[ScoreBank]:
     """The given banks, and Corridor where there is one."""
     banks = [ScoreBank.load(path) for path in paths]
     named = os.environ.get("AMUSIC_DATA")
     if named:
-        banks.append(corridor(Path(named) / "corridor"))
+        banks.append(from_recording(Path(named) / "corridor"))
     if not banks:
         raise ValueError("no recording to compare with; give --bank or set AMUSIC_DATA")
     return banks

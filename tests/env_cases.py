@@ -12,6 +12,7 @@ import numpy as np
 import amusic_gym
 from amusic_gym.bank import ScoreBank
 from amusic_gym.env import TechniqueSelectionEnv
+from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 ENV_NAME = "amusic_gym:amusic_gym/TechniqueSelection-v0"
 REGISTERED = [name for name in gym.registry if name.startswith("amusic_gym/")]
@@ -56,6 +57,16 @@ def noisy_bank(
     names = [f"T{t}" for t in range(techniques)]
     seconds, places = rng.uniform(0.1, 2.0, techniques), rng.integers(-1, references, queries)
     return ScoreBank(scores, names, seconds, tolerance=1, ground_truth=places)
+
+
+def make(kind: str, bank=None, **arguments):
+    """The environment in each way a user may hold it."""
+    arguments = {**EVERYTHING, **arguments}
+    if kind == "wrapped":
+        return gym.make(ENV_NAME, bank=bank, **arguments)
+    if kind == "vector":
+        return TechniqueSelectionVectorEnv(3, bank, autoreset_mode="SameStep", **arguments)
+    return TechniqueSelectionEnv(bank, **arguments)
 
 
 def random_actions(seed: int, steps: int, shape: tuple[int, ...], reselect: float = 0.1) -> Any:

@@ -1,37 +1,71 @@
-"""What the project promises of scripts/compare.py and scripts/correctness.py, in processes."""
+"""What the project promises of scripts/compare.py and scripts/correctness.py."""
 
 from __future__ import annotations
 
 import json
 import os
+import runpy
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 from env_cases import random_bank
 
 ROOT = Path(__file__).resolve().parent.parent
 
-# Ctrl-C must reach a script although a shell may have started these tests with it ignored.
-LISTENING = (
-    "import runpy, signal, sys;"
-    "signal.signal(signal.SIGINT, signal.default_int_handler);"
-    "sys.argv = sys.argv[1:]; sys.path.insert(0, sys.argv[0].rpartition('/')[0]);"
-    "runpy.run_path(sys.argv[0], run_name='__main__')"
-)
+# A process that sends itself a signal after so many lines; a shell may have started these tests
+# with Ctrl-C ignored.
+STOPPED = """
+import builtins, os, runpy, signal, sys
+number, lines, *sys.argv = int(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:]
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.path.insert(0, os.path.dirname(sys.argv[0]))
+written = builtins.print
+def counted(*words, **options):
+    global lines
+    written(*words, **options)
+    lines -= 1
+    if lines == 0:
+        os.kill(os.getpid(), number)
+builtins.print = counted
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
 
 
-def command(script: str, *arguments: object) -> list[str]:
-    path = (ROOT / "scripts" / script).as_posix()
-    return [sys.executable, "-W", "error", "-c", LISTENING, path, *map(str, arguments)]
+class Done(NamedTuple):
+    returncode: int
+    stdout: str
+    stderr: str
 
 
-def run(script: str, *arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        command(script, *arguments), capture_output=True, text=True, timeout=240, check=False
+def run_and_stop(number: int, lines: int, script: str, *arguments: object) -> Done:
+    """The script in a process that gets signal `number` when it has printed so many lines."""
+    path = ROOT / "scripts" / script
+    words = [sys.executable, "-W", "error", "-c", STOPPED, int(number), lines, path, *arguments]
+    process = subprocess.run(
+        [*map(str, words)], capture_output=True, text=True, timeout=240, check=False
     )
+    return Done(process.returncode, process.stdout, process.stderr)
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Done]:
+    """Runs a script here, as `python SCRIPT ARGUMENTS` would."""
+
+    def here(script: str, *arguments: object) -> Done:
+        path = ROOT / "scripts" / script
+        monkeypatch.syspath_prepend(str(path.parent))
+        monkeypatch.setattr(sys, "argv", [str(path), *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            runpy.run_path(str(path), run_name="__main__")
+        assert isinstance(end.value.code, int)
+        return Done(end.value.code, *capsys.readouterr())
+
+    return here
 
 
 @pytest.fixture(scope="module")
@@ -54,47 +88,36 @@ def results(out: Path) -> dict:
     return json.loads((out / "results.json").read_text("utf-8"))
 
 
-MANY = [f"random:{n / 100}" for n in range(1, 100)]
-
-
 @pytest.mark.parametrize(
     ("number", "status"), [(signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)]
 )
 def test_34_35_a_stopped_comparison_keeps_and_skips_what_is_finished(
-    tmp_path, banks, number, status
+    run, tmp_path, banks, number, status
 ):
     out = tmp_path / "out"
-    arguments = ["--bank", banks[0], "--policy", *MANY, "--out", out]
-    process = subprocess.Popen(
-        command("compare.py", *arguments),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
-    first = process.stdout.readline()
-    process.send_signal(number)
-    _, errors = process.communicate(timeout=120)
-    assert process.returncode == status
-    assert first.startswith("[1/99] first random:0.01: auc 0.")
+    policies = ["music", "amusic", "random:0.3", "cascade", "oracle"]
+    arguments = ["--bank", banks[0], "--policy", *policies, "--out"]
+    stopped = run_and_stop(number, 3, "compare.py", *arguments, out)
+    assert stopped.returncode == status
+    assert stopped.stdout.splitlines()[2].startswith("[3/5] first random:0.3: auc ")
     if number == signal.SIGINT:
-        assert errors == "interrupted; what was finished is kept\n"
+        assert stopped.stderr == "interrupted; what was finished is kept\n"
     kept = rows(out)
-    finished = len(list(out.glob("rows/*.json")))
-    assert 1 <= finished < 99
+    assert len(kept) == 6  # three rows, three traces
     assert not (out / "results.json").exists()
 
-    again = run("compare.py", *arguments)
+    again = run("compare.py", *arguments, out)
     assert again.returncode == 0, again.stderr
-    assert again.stdout.count("(was finished)") == finished
+    lines = again.stdout.splitlines()[:5]
+    assert [line.endswith("(was finished)") for line in lines] == [True] * 3 + [False] * 2
     assert kept.items() <= rows(out).items()
-    whole = run("compare.py", *arguments[:-1], tmp_path / "whole")
-    assert whole.stdout.count("(was finished)") == 0
+    whole = run("compare.py", *arguments, tmp_path / "whole")
+    assert "(was finished)" not in whole.stdout
     assert results(out) == results(tmp_path / "whole")
     assert rows(out) == rows(tmp_path / "whole")
 
 
-def test_compare_writes_table_results_traces_and_figures(tmp_path, banks):
+def test_compare_writes_table_results_traces_and_figures(run, tmp_path, banks):
     done = run(
         "compare.py",
         *("--bank", banks[0], "--bank", banks[1], "--policy", "amusic", "--policy", "raw:T0"),
@@ -132,7 +155,7 @@ def test_compare_writes_table_results_traces_and_figures(tmp_path, banks):
         (["--policy", "music", "--bank", "nowhere"], "nowhere"),
     ],
 )
-def test_10_bad_arguments_are_one_line_and_status_2(tmp_path, banks, arguments, sentence):
+def test_10_bad_arguments_are_one_line_and_status_2(run, tmp_path, banks, arguments, sentence):
     out = tmp_path / "out"
     refused = run("compare.py", "--bank", banks[0], "--out", out, *arguments)
     assert refused.returncode == 2
@@ -161,7 +184,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_38_learned_selector_has_a_row_per_compute_weight_and_keeps_its_statistic(
-    tmp_path, banks, trained
+    run, tmp_path, banks, trained
 ):
     policy = f"ppo:{trained}"
     arguments = ["--bank", banks[1], "--policy", policy, "music", "--out", tmp_path / "out"]
@@ -185,7 +208,7 @@ def test_38_learned_selector_has_a_row_per_compute_weight_and_keeps_its_statisti
     assert refused.stderr.count("\n") == 1
 
 
-def test_correctness_reports_every_technique(tmp_path, banks):
+def test_correctness_reports_every_technique(run, tmp_path, banks):
     done = run("correctness.py", "--bank", *banks, "--out", tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     report = json.loads((tmp_path / "correctness.json").read_text("utf-8"))

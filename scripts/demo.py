@@ -1,0 +1,138 @@
+"""The main job in one go: simulate routes, train a selector, compare it, write a page.
+
+The training routes are drawn while training; the routes it is compared on have other seeds. With
+the variable AMUSIC_DATA the real Corridor recording is added, with --bank your own.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from functools import partial
+from pathlib import Path
+
+from _cli import Parser, run
+from _contestants import contestants
+
+from agents.config import TrainingConfig
+from agents.frozen import Frozen
+from agents.run_folder import CHECKPOINT
+from agents.training import train
+from amusic_gym.bank import ScoreBank
+from amusic_gym.comparison import Comparison, all_subsets, compare, draw, table
+from amusic_gym.importers import from_recording
+from amusic_gym.metrics import mean_rows, summarise
+from amusic_gym.plots import front
+from amusic_gym.report import ReportFigure, write_report
+from amusic_gym.rollout import rollout
+from amusic_gym.routes.simulate import planted, simulate
+from amusic_gym.settings import SICSettings
+
+import _demo_story as story  # isort: skip
+
+HELD_OUT = 4
+HELD_OUT_SEED = 3_000
+PLANTED_SEED = 3_100
+PLANTED = "planted"
+REAL = ("HOG", "CALC", "CoHOG", "NetVLAD")
+TIMESTEPS = 600_000
+POLICIES = ("amusic", "amusic:evidence", "music", "cascade", "random:0.3", "oracle")
+
+_begun = time.monotonic()
+
+
+def say(text: str) -> None:
+    """Print a heading with the seconds since the start."""
+    print(f"[{time.monotonic() - _begun:4.0f} s] {text}", flush=True)
+
+
+def routes(given: list[Path]) -> tuple[list[ScoreBank], list[ScoreBank]]:
+    """Simulated routes that no training draws, and other recordings."""
+    simulated = [simulate(HELD_OUT_SEED + i) for i in range(HELD_OUT)]
+    for i, bank in enumerate(simulated):
+        bank.name = f"held-out-{i + 1}"
+    changing = planted(PLANTED_SEED)
+    changing.name = PLANTED
+    others = [changing]
+    if folder := os.environ.get("AMUSIC_DATA"):
+        others.append(from_recording(Path(folder) / "corridor", REAL))
+    return simulated, [*others, *(ScoreBank.load(bank) for bank in given)]
+
+
+def freeze(comparison: Comparison) -> str:
+    """Compare the selector on the planted route with itself when it no longer looks."""
+    rows = [row for row in comparison.rows if row["bank"] == PLANTED]
+    selector = story.best_within(rows, "ppo:", 0.5)
+    if selector is None:
+        return "On the planted route the selector always ran more than half of all techniques."
+    trace = next(
+        t
+        for t in comparison.traces
+        if (t.bank, t.policy, t.compute_weight)
+        == (PLANTED, selector["policy"], selector["compute_weight"])
+    )
+    policy = Frozen(trace.ran.mean(axis=0), trace.statistic)
+    frozen = rollout(policy, planted(PLANTED_SEED), name="frozen", statistic=trace.statistic)
+    return story.planted(rows, summarise(frozen), selector)
+
+
+def main() -> None:
+    """Parse, simulate, train, compare, tell."""
+    parser = Parser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder to write")
+    parser.add_argument("--bank", nargs="+", action="extend", type=Path, default=[], help="yours")
+    parser.add_argument("--timesteps", type=int, default=TIMESTEPS, help="frames of training")
+    parser.add_argument("--seed", type=int, default=0, help="of the training")
+    given = parser.parse_args()
+
+    say("simulating routes to compare on")
+    simulated, others = routes(given.bank)
+    for bank in simulated:
+        bank.save(given.out / "banks" / bank.name)
+
+    say(f"training a selector on {given.timesteps} frames of other simulated routes")
+    run_folder = given.out / "run"
+    config = TrainingConfig(timesteps=given.timesteps, seed=given.seed)
+    train(run_folder, config, resume=(run_folder / CHECKPOINT).exists())
+
+    say("comparing it")
+    policies = [*POLICIES, f"ppo:{run_folder}"]
+    comparison = compare(
+        [*simulated, *others],
+        lambda bank: contestants([*policies, *all_subsets(bank.techniques)]),
+        given.out,
+        statistic=SICSettings.statistic,
+        report=partial(print, flush=True),
+    )
+    tell(given.out, comparison, [bank.name for bank in simulated])
+    say(f"done: open {given.out / 'index.html'}")
+
+
+def tell(out: Path, comparison: Comparison, held_out: list[str]) -> None:
+    """Print the table and what it says, draw the figures, write the page."""
+    mean = mean_rows([row for row in comparison.rows if row["bank"] in held_out])
+    rest = list(dict.fromkeys(row["bank"] for row in comparison.rows))
+    sentences = story.held_out(mean, len(held_out))
+    sentences.append(freeze(comparison))
+    for name in rest:
+        if name not in (*held_out, PLANTED):
+            rows = [row for row in comparison.rows if row["bank"] == name]
+            sentences.append(story.other(name, rows))
+    say("drawing")
+    first = ReportFigure(
+        front(mean, out / "front.png"),
+        f"AUC against compute, mean over the {len(held_out)} held-out routes.",
+    )
+    figures = [first, *draw(comparison, out)]
+    title = "A learned selector of place-recognition techniques"
+    page_rows = [*mean, *comparison.rows]
+    write_report(
+        out / "index.html", title=title, sentences=sentences, rows=page_rows, figures=figures
+    )
+    print(f"\n{table(comparison)}\n")
+    for sentence in sentences:
+        print(sentence)
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,192 @@
+"""The observation: its layout, and every entry against the documented meaning."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import defaultdict
+
+import numpy as np
+import oracle
+import pytest
+from env_cases import assert_same, play, random_actions
+
+from amusic_gym.bank import ScoreBank
+from amusic_gym.env import TechniqueSelectionEnv
+from amusic_gym.observation import (
+    ROUTE_FEATURES,
+    SMOOTHING,
+    TECHNIQUE_FEATURES,
+    observation_names,
+    observation_size,
+)
+from amusic_gym.settings import STATISTICS
+
+
+def documented(heading: str) -> list[str]:
+    """Names in one of the docstring's tables, in order."""
+    table = TechniqueSelectionEnv.__doc__.split(f"| {heading} | meaning |")[1].split("\n\n")[0]
+    return re.findall(r"^ *\| (\w+) \|", table, re.MULTILINE)
+
+
+def test_layout_is_the_documented_one(bank):
+    assert tuple(documented("per technique")) == TECHNIQUE_FEATURES
+    assert tuple(documented("route")) == ROUTE_FEATURES
+    names = observation_names(bank.techniques)
+    assert len(names) == len(set(names)) == observation_size(3)
+    assert TechniqueSelectionEnv(bank).reset(seed=0)[0].shape == (len(names),)
+    assert names[0] == "T0.present"
+    assert names[len(TECHNIQUE_FEATURES)] == "T1.present"
+    assert names[-1] == "route.agreeing"
+
+
+def squash(value: float) -> float:
+    return max(-1.0, min(1.0, math.asinh(value) / 8))
+
+
+class Observer:
+    """The documented observation, worked out from the infos and the explicit loops of SIC."""
+
+    def __init__(self, bank: ScoreBank, statistic: str, block: int, weight: float) -> None:
+        self.bank, self.statistic, self.block, self.weight = bank, statistic, block, weight
+        self.width = len(bank.techniques)
+        self.z = oracle.standardise_bank(bank.scores)
+        self.exists = np.zeros((bank.queries, self.width), bool)
+        self.slots: list[dict] = [defaultdict(float, last=-1) for _ in range(self.width)]
+        self.route: dict = defaultdict(float, prediction=-1)
+
+    def run(self, t: int, frame: int) -> None:
+        """Remember a technique's corrected match on a frame."""
+        own = self.exists[:, t]
+        sic = oracle.sic(self.bank.scores[t], own, frame, statistic=self.statistic, z=self.z[t])
+        alone = oracle.Music(0, sic.place, sic.statistic, [sic])
+        margin = oracle.margin(alone, self.bank.tolerance) or 0.0
+        self.slots[t].update(place=sic.place, statistic=sic.statistic, margin=margin, last=frame)
+        self.slots[t]["correction"] = sic.correction
+
+    def note(self, frame: int, info: dict) -> None:
+        """Take in what a step's infos say."""
+        route, before = self.route, self.route["prediction"]
+        late = info["selection"]["happened"]
+        if late:
+            self.exists[max(0, frame - self.block) : frame] = True
+        self.exists[frame] = info["ran"]
+        for t in range(self.width):
+            if late:
+                self.run(t, frame - 1)
+            if info["ran"][t]:
+                self.run(t, frame)
+        route["prediction"] = info["prediction"]
+        moved = before >= 0 and info["prediction"] == before + 1
+        route["continues"] = float(moved or (info["idle"] and before >= 0))
+        route["since_doubt"] = 0.0 if info["p_correct"] < 0.5 else route["since_doubt"] + 1
+        route["p_mean"] += SMOOTHING * (info["p_correct"] - route["p_mean"])
+        route["compute"] = info["seconds"] / self.bank.seconds.sum()
+        route["compute_mean"] += SMOOTHING * (route["compute"] - route["compute_mean"])
+        self.relate(frame, info)
+
+    def relate(self, frame: int, info: dict) -> None:
+        """Compare every technique's last match with the fused prediction."""
+        agreeing = 0.0
+        for t, slot in enumerate(self.slots):
+            if slot["last"] < 0 or info["prediction"] < 0:
+                continue
+            age = frame - slot["last"]
+            there = info["prediction"] - age
+            near = abs(slot["place"] + age - info["prediction"]) <= self.bank.tolerance
+            slot["agrees"] = float(near)
+            agreeing += near
+            known = (self.z[t], self.exists[:, t], slot["last"], there, 1000, 1.0)
+            slot["stored"] = oracle.diagonal_statistic(*known, self.statistic) if there >= 0 else 0
+            if info["ran"][t]:
+                slot["support"] = self.z[t][frame][info["prediction"]]
+                slot["support_mean"] += SMOOTHING * (slot["support"] - slot["support_mean"])
+                slot["agreement"] += SMOOTHING * (near - slot["agreement"])
+        self.route["agreeing"] = agreeing / self.width
+
+    def technique_group(self, t: int, frame: int, info: dict) -> list[float]:
+        slot, share = self.slots[t], self.bank.seconds[t] / self.bank.seconds.sum()
+        return [
+            1.0,
+            float(info["ran"][t]),
+            squash(slot["statistic"]),
+            squash(slot["margin"]),
+            squash(slot["correction"]),
+            slot["agrees"],
+            slot["agreement"],
+            squash(slot["support"]),
+            squash(slot["support_mean"]),
+            squash(slot["stored"]),
+            squash(frame - slot["last"]) if slot["last"] >= 0 else 1.0,
+            float(info["technique"] == t),
+            share,
+            max(-1.0, 1 + math.log10(share) / 4),
+            squash(self.weight * share),
+        ]
+
+    def route_group(self, frame: int, info: dict) -> list[float]:
+        route = self.route
+        weight = -1 + 2 * (math.log10(self.weight) + 2) / 3
+        return [
+            max(-1.0, min(1.0, weight)),
+            float(info["prediction"] >= 0),
+            squash(info["confidence"]),
+            squash(info["margin"]),
+            info["p_correct"],
+            route["p_mean"],
+            route["continues"],
+            squash(route["since_doubt"]),
+            squash(frame + 1),
+            squash(route["compute"]),
+            squash(route["compute_mean"]),
+            route["agreeing"],
+        ]
+
+    def expected(self, frame: int, info: dict) -> list[float]:
+        groups = [self.technique_group(t, frame, info) for t in range(self.width)]
+        return sum(groups, []) + self.route_group(frame, info)
+
+
+@pytest.mark.parametrize("statistic", STATISTICS)
+@pytest.mark.parametrize("weight", [0.001, 0.4, 30.0])
+def test_observation_means_what_the_table_says(bank, statistic, weight):
+    env = TechniqueSelectionEnv(
+        bank, statistic=statistic, reselection=4, allow_idle=True, compute_weight=weight
+    )
+    observer = Observer(bank, statistic, 4, weight)
+    observation, info = env.reset(seed=0)
+    names = observation_names(bank.techniques)
+    actions = random_actions(3, 40, (4,), reselect=0.15)
+    actions[:2] = 0  # idle before there is any prediction
+    for frame, action in enumerate([None, *actions], start=-1):
+        if action is not None:
+            observation, _, _, _, info = env.step(action)
+            observer.note(frame, info)
+        expected = dict(zip(names, observer.expected(frame, info), strict=True))
+        found = dict(zip(names, observation.tolist(), strict=True))
+        assert found == pytest.approx(expected, rel=1e-5, abs=1e-6), f"frame {frame}"
+
+
+def test_a_first_prediction_continues_nothing():
+    scores = np.zeros((1, 4, 4)) + np.eye(4)
+    bank = ScoreBank(scores, ["A"], [1.0], tolerance=0)
+    env = TechniqueSelectionEnv(bank)
+    env.reset(seed=0)
+    position = observation_names(bank.techniques).index("route.continues")
+    steps = [env.step([1]) for _ in range(4)]
+    assert [step[4]["prediction"] for step in steps] == [0, 1, 2, 3]
+    assert [step[0][position] for step in steps] == [0.0, 1.0, 1.0, 1.0]
+
+
+def test_observation_holds_nothing_of_techniques_that_did_not_run(bank):
+    """Other scores of a technique that never runs change nothing; nor does the ground truth."""
+    scores = np.array(bank.scores)
+    scores[2] = np.random.default_rng(0).normal(size=scores[2].shape)
+    truth = np.random.default_rng(1).integers(0, 60, 40)
+    other = ScoreBank(
+        scores, bank.techniques, bank.seconds, tolerance=2, ground_truth=truth, name=bank.name
+    )
+    actions = random_actions(0, 30, (3,))
+    actions[:, 2] = 0
+    both = [play(TechniqueSelectionEnv(b, compute_weight=0.2), actions) for b in (bank, other)]
+    assert_same(*both)
