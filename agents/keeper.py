@@ -65,13 +65,18 @@ class Keeper(BaseCallback):
         return max(self.evaluations, key=lambda result: result.score, default=None)
 
     def begin(self) -> None:
-        """Start the run folder: configuration and a first checkpoint."""
-        self.write_config()
+        """Start the run folder: its records and a first checkpoint."""
+        self.write_records()
         self.checkpoint()
 
-    def write_config(self) -> None:
-        """Write ``config.json``."""
+    def write_records(self) -> None:
+        """Write ``config.json`` and ``evaluation.csv``."""
         write_config(self.out, stored(self.config, self.banks, self.best))
+        table = io.StringIO()
+        writer = csv.writer(table, lineterminator="\n")
+        writer.writerow(Evaluation._fields)
+        writer.writerows(self.evaluations)
+        write_whole(self.out / EVALUATIONS, table.getvalue().encode())
 
     def _on_step(self) -> bool:
         if self.locals["dones"].any():
@@ -102,20 +107,12 @@ class Keeper(BaseCallback):
         result = self.held_out.evaluate(selector, steps)
         for name, value in result._asdict().items():
             self.logger.record(f"held_out/{name}", value)
+        if self.best is None or result.score > self.best.score:
+            write_selector(self.out, self.network, self.config.network)
         self.evaluations.append(result)
         self._next = steps + self.config.evaluate_every
-        if self.best is result:
-            write_selector(self.out, self.network, self.config.network)
-            self.write_config()
-        self._write_evaluations()
+        self.write_records()
         self.checkpoint()
-
-    def _write_evaluations(self) -> None:
-        table = io.StringIO()
-        writer = csv.writer(table, lineterminator="\n")
-        writer.writerow(Evaluation._fields)
-        writer.writerows(self.evaluations)
-        write_whole(self.out / EVALUATIONS, table.getvalue().encode())
 
     def save(self) -> None:
         """Keep what there is: a checkpoint, and a selector where none was evaluated yet."""

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import torch
 from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import ProgressBarCallback
 from stable_baselines3.common.logger import Logger, make_output_format
 
 from agents.adapter import SB3VecEnv
@@ -93,14 +94,14 @@ def train(
     keeper.init_callback(model)
     if resume:
         keeper.restore()
-        keeper.write_config()
+        keeper.write_records()
     else:
         keeper.begin()
     model.set_logger(_logger(out, model.num_timesteps))
     try:
         left = config.timesteps - model.num_timesteps
         if left > 0:
-            model.learn(left, callback=keeper, reset_num_timesteps=False, progress_bar=progress)
+            _learn(model, left, keeper, progress)
         keeper.finish()
     except KeyboardInterrupt:
         keeper.save()
@@ -108,6 +109,16 @@ def train(
     finally:
         model.logger.close()
     return load_selector(out)
+
+
+def _learn(model: PPO, timesteps: int, keeper: Keeper, progress: bool) -> None:
+    bars = [ProgressBarCallback()] if progress else []
+    try:
+        model.learn(timesteps, callback=[keeper, *bars], reset_num_timesteps=False)
+    finally:
+        for bar in bars:  # an interrupted one would go on moving, and hide the cursor
+            if hasattr(bar, "pbar"):
+                bar.pbar.close()
 
 
 def _refuse_used(out: Path) -> None:

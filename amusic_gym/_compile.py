@@ -57,6 +57,17 @@ def inner(function: Function) -> Function:
     return compiled_function
 
 
+def reduction(function: Function) -> Function:
+    """As :func:`inner`, for loops that look for an extreme value of finite numbers or −∞.
+
+    Without NaN and signed zeros the order of comparisons does not matter, so that the compiler may
+    do several at once; no rounding is involved.
+    """
+    options = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
+    compiled_function: Function = _njit(**options, fastmath={"nnan", "nsz"})(function)
+    return compiled_function
+
+
 def _pointer(typing_context: Any, address: Any) -> Any:
     """Turn an integer address into a pointer for ``numba.carray``.
 

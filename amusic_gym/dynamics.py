@@ -23,6 +23,7 @@ from amusic_gym.sic import (
     score_candidates,
     statistic_of,
     weigh,
+    weight_of,
 )
 
 IDLE_DECAY = 0.9
@@ -100,6 +101,7 @@ class State(NamedTuple):
     weights: NDArray[np.float64]  # (N, S, Q + 1) prefix weights
     squares: NDArray[np.float64]  # (N, S, Q + 1) prefix squared weights
     values: NDArray[np.float64]  # (S, K) scratch: statistics of the candidates
+    scratch: NDArray[np.float64]  # (K or S,) more scratch, whichever is longer
 
 
 RESULT = np.dtype(
@@ -152,8 +154,9 @@ def correct_frame(state: State, rules: Rules, i: int, s: int, frame: int, out: O
     prefix = state.squares[i, s] if rules.evidence else state.weights[i, s]
     values = state.values[s]
     top = top_at(run, frame)
+    history, gamma, evidence = rules.history, rules.gamma, rules.evidence
     score_candidates(
-        sums, mark, top, prefix, frame, rules.history, rules.gamma, rules.evidence, values
+        sums, mark, top, prefix, frame, history, gamma, evidence, state.scratch, values
     )
     return first_best(values, top.size)
 
@@ -302,7 +305,7 @@ def estimate(calibration: Any, statistic: float, margin: float, has_rival: bool)
 def fuse(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
     """Trust the technique of the highest statistic (MuSIC, III-B) and estimate correctness."""
     slots, route = state.slots[i], state.routes[i]
-    statistics = np.empty(slots.size)
+    statistics = state.scratch
     for s in range(slots.size):
         statistics[s] = slots[s].statistic if slots[s].ran else -math.inf
     chosen = first_best(statistics, slots.size)
@@ -341,7 +344,8 @@ def stored_statistic(state: State, rules: Rules, i: int, s: int, place: int) -> 
     mark, frame = state.marks[LIVE, i, s], state.slots[i, s].last_run
     prefix = state.squares[i, s] if rules.evidence else state.weights[i, s]
     total = state.sums[LIVE, i, s, mark.origin - frame + place]
-    return statistic_of(total, prefix, frame, place, rules.history, rules.gamma, rules.evidence)
+    weight = weight_of(prefix, frame, place, rules.history, rules.gamma, rules.evidence)
+    return statistic_of(total, weight, rules.evidence)
 
 
 @inner

@@ -34,7 +34,7 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
 
     ## Observation Space
     A flat float32 `Box` in [−1, 1]: T equal groups, one per technique, then the route's group.
-    *squash* is asinh(x)/8, clipped to [−1, 1]. Running means weigh the newest value by 0.2.
+    *squash* is x / (|x| + 4). Running means weigh the newest value by 0.2.
 
     | per technique | meaning |
     |---|---|

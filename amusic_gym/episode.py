@@ -103,6 +103,7 @@ class Episodes:
             weights=np.zeros((n, s, queries + 1)),
             squares=np.zeros((n, s, queries + 1)),
             values=np.zeros((s, candidates)),
+            scratch=np.zeros(max(s, candidates)),
         )
 
     def _make_room(self, route: Route) -> None:

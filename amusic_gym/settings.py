@@ -11,10 +11,10 @@ STATISTICS = ("mean", "evidence")
 """``mean`` is the paper's average; ``evidence`` is Stouffer's weighted Z (docs/fidelity.md)."""
 
 BLOCK = 10
-"""M: frames of a selection and of a re-selection test (A-MuSIC, IV-D)."""
+"""M: frames of a selection and of a re-selection test (A-MuSIC, IV-C)."""
 
 COVERAGE = 0.7
-"""E: share of MuSIC's choices that the selected techniques must cover (A-MuSIC, IV-D)."""
+"""E: share of MuSIC's choices that the selected techniques must cover (A-MuSIC, IV-C)."""
 
 COMPUTE_WEIGHT_RANGE = (0.01, 10.0)
 """Range of the compute weight that the observation resolves, on a logarithmic scale."""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amusic_gym._compile import compiled, inner
+from amusic_gym._compile import compiled, inner, reduction
 from amusic_gym.rows import RUN, mean_at, prepare, row_at, scale_at
 from amusic_gym.settings import SICSettings
 
@@ -119,20 +119,24 @@ def weigh(weights: Any, squares: Any, ran: Any, first: int, stop: int, gamma: fl
 
 
 @inner
-def statistic_of(
-    total: float, prefix: Any, frame: int, place: int, history: int, gamma: float, evidence: bool
+def weight_of(
+    prefix: Any, frame: int, place: int, history: int, gamma: float, evidence: bool
 ) -> float:
-    """Statistic of a diagonal's sum: Σwz/√Σw² (evidence) or Σwz/Σw (mean).
+    """Σw² (evidence) or Σw (mean) of the frames that count for a candidate.
 
     ``prefix`` are the squares for evidence and the weights for mean. The walk back stops at the
     start of the history, of the run or of the map, whichever is nearest.
     """
     span = min(history, frame, place)
-    first = frame - span
-    before = prefix[first]
+    before = prefix[frame - span]
     if gamma != 1.0:
         before *= (gamma * gamma if evidence else gamma) ** (span + 1)
-    weight = prefix[frame + 1] - before
+    return prefix[frame + 1] - before  # type: ignore[no-any-return]
+
+
+@inner
+def statistic_of(total: float, weight: float, evidence: bool) -> float:
+    """Statistic of a diagonal's sum: Σwz/√Σw² (evidence) or Σwz/Σw (mean)."""
     return total / math.sqrt(weight) if evidence else total / weight
 
 
@@ -146,13 +150,25 @@ def score_candidates(
     history: int,
     gamma: float,
     evidence: bool,
+    weights: Any,
     out: Any,
 ) -> None:
-    """Write the statistics of the candidates ``top`` (K,) at ``frame`` to ``out`` (K,)."""
-    base = mark.origin - frame
+    """Write the statistics of the candidates ``top`` (K,) at ``frame`` to ``out`` (K,).
+
+    Look-ups first, arithmetic after: the second loop has no scattered access and runs in SIMD.
+    ``weights`` (K,) is scratch.
+    """
+    window = sums[mark.origin - frame :]
     for rank in range(top.size):
         place = top[rank]
-        out[rank] = statistic_of(sums[base + place], prefix, frame, place, history, gamma, evidence)
+        out[rank] = window[place]
+        weights[rank] = weight_of(prefix, frame, place, history, gamma, evidence)
+    if evidence:
+        for rank in range(top.size):
+            out[rank] = statistic_of(out[rank], weights[rank], True)
+    else:
+        for rank in range(top.size):
+            out[rank] = statistic_of(out[rank], weights[rank], False)
 
 
 @inner
@@ -161,12 +177,19 @@ def tie(best: float) -> float:
     return ABSOLUTE_TIE + RELATIVE_TIE * abs(best)
 
 
+@reduction
+def highest(values: Any, size: int) -> float:
+    """Largest of the first ``size`` values."""
+    best = values[0]
+    for i in range(1, size):
+        best = values[i] if values[i] > best else best
+    return best  # type: ignore[no-any-return]
+
+
 @compiled
 def first_best(values: Any, size: int) -> int:
     """Index of the highest of ``values``; of equal ones the first."""
-    best = values[0]
-    for i in range(1, size):
-        best = max(best, values[i])
+    best = highest(values, size)
     floor = best - tie(best)
     for i in range(size):
         if values[i] >= floor:
@@ -174,12 +197,12 @@ def first_best(values: Any, size: int) -> int:
     return 0
 
 
-@inner
+@reduction
 def best_rival(values: Any, top: Any, size: int, place: int, tolerance: int, best: float) -> float:
     """Highest of ``best`` and the statistics of candidates beyond ``tolerance`` of ``place``."""
     for rank in range(size):
-        if abs(top[rank] - place) > tolerance:
-            best = max(best, values[rank])
+        value = values[rank] if abs(top[rank] - place) > tolerance else -math.inf
+        best = value if value > best else best
     return best
 
 
@@ -324,7 +347,9 @@ class SIC:
         push(self._sums, mark, run, rows.ran, frame, history, gamma)
         self._weigh(frame)
         top, prefix = rows.top[frame], rows.squares if evidence else rows.weights
-        values = np.empty(top.size)
-        score_candidates(self._sums, mark, top, prefix, frame, history, gamma, evidence, values)
+        values, scratch = np.empty((2, top.size))
+        score_candidates(
+            self._sums, mark, top, prefix, frame, history, gamma, evidence, scratch, values
+        )
         winner = first_best(values, values.size)
         return Match(int(top[winner]), float(values[winner]), float(values[winner] - values[0]))

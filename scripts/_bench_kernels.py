@@ -21,6 +21,7 @@ def correct_routes(
     weights: Any,
     squares: Any,
     values: Any,
+    scratch: Any,
     frame: int,
     history: int,
     places: Any,
@@ -36,6 +37,7 @@ def correct_routes(
         weights: (N, Q + 1) float64 prefix weights.
         squares: (N, Q + 1) float64 prefix squared weights.
         values: (K,) float64 scratch.
+        scratch: (K,) float64, more of it.
         frame: frame index.
         history: F.
         places: (N,) int64, to fill with the corrected matches.
@@ -46,7 +48,9 @@ def correct_routes(
         weigh(weights[i], squares[i], ran[i], frame, frame + 1, 1.0)
         push(sums[i], marks[i], runs[i], ran[i], frame, history, 1.0)
         top = top_at(runs[i], frame)
-        score_candidates(sums[i], marks[i], top, squares[i], frame, history, 1.0, True, values)
+        score_candidates(
+            sums[i], marks[i], top, squares[i], frame, history, 1.0, True, scratch, values
+        )
         winner = first_best(values, top.size)
         places[i] = top[winner]
         statistics[i] = values[winner]

@@ -6,6 +6,7 @@ small defaults, after CODE, which may break something on purpose.
 
 from __future__ import annotations
 
+import importlib
 import os
 import runpy
 import signal
@@ -15,8 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent
-SCRIPTS = ROOT / "scripts"
+SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 SMALL: dict[str, Any] = {
     "n_envs": 4,
     "n_steps": 8,
@@ -28,49 +28,45 @@ SMALL: dict[str, Any] = {
 """32 frames an update; an evaluation before every third."""
 
 
-def interrupt_at(place: str, name: str, call: int) -> str:
-    """Code that sends Ctrl-C to the process itself when ``place.name`` is called so often."""
-    module = place.rpartition(".")[0] if place[place.rfind(".") + 1].isupper() else place
-    return (
-        f"import {module}, small_training, signal\n"
-        f"small_training.before_call({place}, {name!r}, {call}, signal.SIGINT)"
-    )
+def train_script(*arguments: object, code: str = "") -> subprocess.CompletedProcess[str]:
+    """Run the command with small defaults in a process of its own, where warnings are errors."""
+    command = [sys.executable, "-W", "error", __file__, code, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
 
 
-def before_call(owner: Any, name: str, call: int, number: signal.Signals) -> None:
-    """Send a signal to this process just before the given call of ``owner.name``."""
-    original = getattr(owner, name)
+def signal_at(module: str, name: str, call: int, number: signal.Signals) -> str:
+    """Code for `train_script`: the process gets a signal when ``name`` is called so often."""
+    return f"import small_training; small_training.arm({module!r}, {name!r}, {call}, {number:d})"
+
+
+def arm(module: str, name: str, call: int, number: int) -> None:
+    """Do what `signal_at` says."""
+    owner: Any = importlib.import_module(module)
+    *path, last = name.split(".")
+    for part in path:
+        owner = getattr(owner, part)
+    original = getattr(owner, last)
     count = 0
 
-    def counting(*args: Any, **kwargs: Any) -> Any:
+    def counting(*arguments: Any, **keywords: Any) -> Any:
         nonlocal count
         count += 1
         if count == call:
             os.kill(os.getpid(), number)
-        return original(*args, **kwargs)
+        return original(*arguments, **keywords)
 
-    setattr(owner, name, counting)
-
-
-def train_script(
-    *arguments: object, code: str = "", warnings: str = "error"
-) -> subprocess.CompletedProcess[str]:
-    """Run the command with small defaults in a process of its own."""
-    command = [sys.executable, "-W", warnings, __file__, code, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+    setattr(owner, last, counting)
 
 
-def main(code: str, *arguments: str) -> None:
-    """Run the command here."""
-    sys.path[:0] = [str(ROOT), str(SCRIPTS)]
+def _main(code: str, *arguments: str) -> None:
+    sys.path[:0] = [str(SCRIPTS.parent), str(SCRIPTS)]
     import agents.config as config
 
-    config.TrainingConfig = partial(config.TrainingConfig, **SMALL)  # type: ignore[misc]
-    sys.modules["small_training"] = sys.modules["__main__"]
+    config.TrainingConfig = partial(config.TrainingConfig, **SMALL)  # type: ignore[assignment,misc]
     exec(code, {})
     sys.argv = [str(SCRIPTS / "train.py"), *arguments]
     runpy.run_path(sys.argv[0], run_name="__main__")
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    _main(*sys.argv[1:])

@@ -41,7 +41,7 @@ def test_layout_is_the_documented_one(bank):
 
 
 def squash(value: float) -> float:
-    return max(-1.0, min(1.0, math.asinh(value) / 8))
+    return value / (abs(value) + 4)
 
 
 class Observer:

@@ -20,18 +20,23 @@ ROOT = Path(__file__).resolve().parent.parent
 # A process that sends itself a signal after so many lines; a shell may have started these tests
 # with Ctrl-C ignored.
 STOPPED = """
-import builtins, os, runpy, signal, sys
+import os, runpy, signal, sys
 number, lines, *sys.argv = int(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:]
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.path.insert(0, os.path.dirname(sys.argv[0]))
-written = builtins.print
-def counted(*words, **options):
-    global lines
-    written(*words, **options)
-    lines -= 1
-    if lines == 0:
-        os.kill(os.getpid(), number)
-builtins.print = counted
+class Counted:
+    def __init__(self, stream, left):
+        self.stream, self.left = stream, left
+    def __getattr__(self, name):
+        return getattr(self.stream, name)
+    def write(self, text):
+        self.stream.write(text)
+        self.stream.flush()
+        self.left -= text.count("\\n")
+        if self.left == 0:
+            self.left = -1
+            os.kill(os.getpid(), number)
+sys.stdout = Counted(sys.stdout, lines)
 runpy.run_path(sys.argv[0], run_name="__main__")
 """
 

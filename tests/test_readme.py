@@ -1,0 +1,154 @@
+"""What the README and the pages beside it tell people to run exists, and its Python runs."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+README = ROOT / "README.md"
+PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
+
+# The README trains for a minute and drives ten routes; this shows only that it runs.
+TINY = {
+    "timesteps=300_000": "timesteps=64, n_envs=4, n_steps=8, pool=2, held_out=1",
+    "range(10)": "range(2)",
+}
+
+
+def commands(text: str) -> list[str]:
+    """The lines to type: indented ones that begin with `make` or `python scripts/`."""
+    joined = re.sub(r"\\\n\s*", "", text)
+    found = re.findall(r"^ {4}.*?((?:make|python scripts/\S+)(?: .*)?)$", joined, re.MULTILINE)
+    return found + re.findall(r"`((?:make|python scripts/\S+) [^`\n]+)`", joined)
+
+
+def tasks() -> list[str]:
+    """Every command of every page, once."""
+    return list(dict.fromkeys(c for page in PAGES for c in commands(page.read_text("utf-8"))))
+
+
+@cache
+def help_of(*script: str) -> str:
+    """What `python scripts/NAME.py [SUBCOMMAND] --help` prints."""
+    done = subprocess.run(
+        [sys.executable, *script, "--help"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, f"{' '.join(script)} --help: {done.stderr}"
+    return done.stdout
+
+
+def check_script(words: list[str]) -> None:
+    """Refuse a call of a script that is not there or lacks a subcommand or an option."""
+    script, *arguments = words
+    assert (ROOT / script).is_file(), f"there is no {script}"
+    where = [script]
+    if not arguments[0].startswith("-"):  # a subcommand
+        listed = re.search(rf"^ +{arguments[0]} ", help_of(script), re.MULTILINE)
+        assert listed, f"{script} has no {arguments[0]}"
+        where.append(arguments[0])
+    known = set(re.findall(r"--[\w-]+", help_of(*where)))
+    named = {word for word in arguments if word.startswith("--")}
+    assert named <= known, f"{' '.join(where)} has no {', '.join(sorted(named - known))}"
+
+
+def check_make(words: list[str]) -> None:
+    """Refuse a target or a variable that the Makefile lacks, or an option of `make demo`."""
+    makefile = (ROOT / "Makefile").read_text("utf-8")
+    target, *settings = words
+    assert re.search(rf"^{target}:", makefile, re.MULTILINE), f"make has no target {target}"
+    for setting in settings:
+        variable, _, value = setting.partition("=")
+        assert f"$({variable})" in makefile, f"make {target} knows no {variable}"
+        if target == "demo" and variable == "ARGS":
+            check_script(["scripts/demo.py", *shlex.split(value)])
+
+
+def test_the_readme_names_the_two_commands_and_every_script() -> None:
+    named = tasks()
+    assert {"make demo", "make test"} <= set(named)
+    scripts = {path.name for path in (ROOT / "scripts").glob("[!_]*.py")}
+    assert scripts <= set(re.findall(r"scripts/(\w+\.py)", README.read_text("utf-8")))
+
+
+@pytest.mark.parametrize("command", tasks(), ids=lambda command: command[:60])
+def test_command_exists(command: str) -> None:
+    program, *words = shlex.split(command)
+    if program == "make":
+        check_make(words)
+    else:
+        check_script(words)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "python scripts/nothing.py --out X",
+        "python scripts/bank.py images --out X",
+        "python scripts/bank.py simulate --seeds 1",
+        "make nothing",
+        "make setup NOTHING=1",
+        'make demo ARGS="--nothing"',
+    ],
+)
+def test_the_check_refuses_what_is_not_there(command: str) -> None:
+    program, *words = shlex.split(command)
+    with pytest.raises(AssertionError, match="no "):
+        (check_make if program == "make" else check_script)(words)
+
+
+def test_commands_are_found_in_blocks_and_in_sentences() -> None:
+    text = "\n    make demo\n    A=1 python scripts/a.py --x \\\n        --y\n\nSee `make test -k`."
+    assert commands(text) == ["make demo", "python scripts/a.py --x --y", "make test -k"]
+
+
+@pytest.mark.filterwarnings("ignore:.*has no correct match")  # after 64 frames of training
+def test_the_python_of_the_readme_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    blocks = re.findall(r"^```python\n(.*?)^```", README.read_text("utf-8"), re.M | re.S)
+    assert len(blocks) == 1
+    code = blocks[0]
+    for long, short in TINY.items():
+        assert code.count(long) == 1, f"the README no longer says {long}; say here what it says"
+        code = code.replace(long, short)
+    monkeypatch.chdir(tmp_path)
+    values: dict[str, object] = {}
+    exec(compile(code, "README.md", "exec"), values)
+    assert (tmp_path / "runs" / "first" / "selector.safetensors").is_file()
+    info = values["info"]
+    assert isinstance(info, dict)
+    assert info["ran"].tolist() == [True, False, False, False]
+    line = r"^{}: AUC [01]\.\d{{3}} at \d+% compute$"
+    printed = capsys.readouterr().out
+    for name in ("learned", "A-MuSIC"):
+        assert re.search(line.format(name), printed, re.MULTILINE)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    links = re.findall(r"\]\((?!https?:|#)([^)#]+)[^)]*\)", page.read_text("utf-8"))
+    missing = [link for link in links if not (page.parent / link).exists()]
+    assert not missing, f"{page.name} links to {missing}"
+
+
+def test_the_environment_is_made_as_the_readme_says() -> None:
+    import gymnasium as gym
+
+    text = README.read_text("utf-8")
+    made = re.search(r'gym\.make_vec\("([^"]+)", num_envs=(\d+)\)', text)
+    assert made
+    env = gym.make_vec(made[1], num_envs=int(made[2]))
+    assert env.num_envs == int(made[2])
+    env.close()
