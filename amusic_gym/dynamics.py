@@ -13,13 +13,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym._compile import compiled, inner
+from amusic_gym._compile import apart, compiled, inner
 from amusic_gym.observation import SMOOTHING, observe
 from amusic_gym.rows import mean_at, prepare, row_at, scale_at, top_at
 from amusic_gym.sic import (
     best_rival,
     first_best,
     push,
+    ratio_of,
     score_candidates,
     statistic_of,
     weigh,
@@ -98,8 +99,7 @@ class State(NamedTuple):
     marks: NDArray[Any]  # (2, N, S) SUMS
     sums: NDArray[np.float64]  # (2, N, S, R + SLACK); one set only without re-selection
     ran: NDArray[np.uint8]  # (N, S, Q)
-    weights: NDArray[np.float64]  # (N, S, Q + 1) prefix weights
-    squares: NDArray[np.float64]  # (N, S, Q + 1) prefix squared weights
+    prefix: NDArray[np.float64]  # (N, S, Q + 1) prefix weights
     values: NDArray[np.float64]  # (S, K) scratch: statistics of the candidates
     scratch: NDArray[np.float64]  # (K or S,) more scratch, whichever is longer
 
@@ -151,7 +151,7 @@ def correct_frame(state: State, rules: Rules, i: int, s: int, frame: int, out: O
         out.routes[i].bad_row = 1 + s * state.routes[i].frames + frame
     sums, mark = state.sums[LIVE, i, s], state.marks[LIVE, i, s]
     push(sums, mark, run, state.ran[i, s], frame, rules.history, rules.gamma)
-    prefix = state.squares[i, s] if rules.evidence else state.weights[i, s]
+    prefix = state.prefix[i, s]
     values = state.values[s]
     top = top_at(run, frame)
     history, gamma, evidence = rules.history, rules.gamma, rules.evidence
@@ -174,7 +174,7 @@ def remember(state: State, tolerance: int, i: int, s: int, frame: int, winner: i
     slot.margin = slot.statistic - rival if rival > -math.inf else 0.0
 
 
-@inner
+@apart
 def select_techniques(slots: Any, frames: int, coverage: float) -> None:
     """Take techniques by falling tally until it covers the block (A-MuSIC, III-C1)."""
     target = math.ceil(coverage * frames - 1e-9)
@@ -188,7 +188,7 @@ def select_techniques(slots: Any, frames: int, coverage: float) -> None:
         covered += slots[best].tally
 
 
-@inner
+@apart
 def rebuild_lagged(state: State, rules: Rules, i: int, s: int, first: int) -> None:
     """Bring the lagged sums up to the block that starts at ``first`` and restart from them."""
     slot, run, ran = state.slots[i, s], state.runs[i, s], state.ran[i, s]
@@ -201,10 +201,11 @@ def rebuild_lagged(state: State, rules: Rules, i: int, s: int, first: int) -> No
     for place in range(sums.size):  # a loop: assigning a slice compiles ten times as long
         fresh[place] = sums[place]
     live = state.marks[LIVE, i, s]
-    live.origin, live.last, live.expired = mark.origin, mark.last, mark.expired
+    live.origin, live.last = mark.origin, mark.last
+    live.expired, live.since = mark.expired, mark.since
 
 
-@inner
+@apart
 def run_block(
     state: State, rules: Rules, i: int, s: int, frame: int, statistics: Any, out: Outcome
 ) -> None:
@@ -218,7 +219,7 @@ def run_block(
     for past in range(first, frame):
         out.slots[i, s].late_runs += 1 - ran[past]
         ran[past] = 1
-    weigh(state.weights[i, s], state.squares[i, s], ran, first, frame, rules.gamma)
+    weigh(state.prefix[i, s], ran, first, frame, ratio_of(rules.gamma, rules.evidence))
     rebuild_lagged(state, rules, i, s, first)
     for past in range(first, frame):
         winner = correct_frame(state, rules, i, s, past, out)
@@ -229,7 +230,7 @@ def run_block(
             remember(state, state.routes[i].tolerance, i, s, past, winner)
 
 
-@inner
+@apart
 def select(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
     """Do the selection of A-MuSIC (III-C1) over the block of frames before ``frame``."""
     slots = state.slots[i]
@@ -272,15 +273,14 @@ def choose_runs(state: State, rules: Rules, i: int, action: Any, out: Outcome) -
 def run_techniques(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
     """Run the chosen techniques on the frame and correct each."""
     slots, route = state.slots[i], state.routes[i]
+    ratio = ratio_of(rules.gamma, rules.evidence)
     for s in range(slots.size):
         slot = slots[s]
         slot.ran, slot.chosen = out.slots[i, s].ran, False
         if not slot.present:
             continue
         state.ran[i, s, frame] = slot.ran
-        weigh(
-            state.weights[i, s], state.squares[i, s], state.ran[i, s], frame, frame + 1, rules.gamma
-        )
+        weigh(state.prefix[i, s], state.ran[i, s], frame, frame + 1, ratio)
         if slot.ran:
             winner = correct_frame(state, rules, i, s, frame, out)
             remember(state, route.tolerance, i, s, frame, winner)
@@ -342,9 +342,10 @@ def stored_statistic(state: State, rules: Rules, i: int, s: int, place: int) -> 
     if place < 0:
         return 0.0
     mark, frame = state.marks[LIVE, i, s], state.slots[i, s].last_run
-    prefix = state.squares[i, s] if rules.evidence else state.weights[i, s]
+    prefix = state.prefix[i, s]
     total = state.sums[LIVE, i, s, mark.origin - frame + place]
-    weight = weight_of(prefix, frame, place, rules.history, rules.gamma, rules.evidence)
+    ratio = ratio_of(rules.gamma, rules.evidence)
+    weight = weight_of(prefix, mark.since, frame, place, rules.history, ratio)
     return statistic_of(total, weight, rules.evidence)
 
 

@@ -100,8 +100,7 @@ class Episodes:
             marks=np.zeros((2, n, s), SUMS),
             sums=np.zeros((sets, n, s, references + SLACK)),
             ran=np.zeros((n, s, queries), np.uint8),
-            weights=np.zeros((n, s, queries + 1)),
-            squares=np.zeros((n, s, queries + 1)),
+            prefix=np.zeros((n, s, queries + 1)),
             values=np.zeros((s, candidates)),
             scratch=np.zeros(max(s, candidates)),
         )
@@ -119,7 +118,7 @@ class Episodes:
         ):
             return
         new = self._allocate(references, queries, candidates)
-        for name in ("routes", "slots", "runs", "marks", "sums", "ran", "weights", "squares"):
+        for name in ("routes", "slots", "runs", "marks", "sums", "ran", "prefix"):
             kept = getattr(old, name)
             getattr(new, name)[tuple(slice(0, size) for size in kept.shape)] = kept
         self.state = new
@@ -129,7 +128,7 @@ class Episodes:
         self._make_room(route)
         self.routes[i] = route
         state, bank = self.state, route.bank
-        for array in (state.sums[:, i], state.ran[i], state.weights[i], state.squares[i]):
+        for array in (state.sums[:, i], state.ran[i], state.prefix[i]):
             array.fill(0)
         record = state.routes[i : i + 1]
         record[:] = np.zeros(1, ROUTE)
@@ -147,8 +146,8 @@ class Episodes:
         slots["last_run"] = -1
         slots["seconds"][present] = bank.seconds[route.columns[present]]
         marks = state.marks[:, i]
+        marks[:] = np.zeros(1, SUMS)
         marks["last"] = -1
-        marks["expired"] = 0
         marks["origin"] = state.sums.shape[-1] - bank.references
         self._point(i)
 

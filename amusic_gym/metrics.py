@@ -1,7 +1,7 @@
 """The numbers of a comparison, each from a :class:`~amusic_gym.trace.Trace` or plain arrays.
 
-Accuracy, precision-recall, AUC and processed-technique ratio follow A-MuSIC, IV-B; where the paper
-leaves the AUC open both common readings are given side by side.
+Accuracy, precision-recall, AUC and PTR (proportion of technique runs) follow A-MuSIC, IV-B; where
+it leaves the AUC open both common readings are given side by side.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import numpy as np
 from numba import carray  # type: ignore[attr-defined]  # not in Numba's list of exports
 from numpy.typing import NDArray
 
-from amusic_gym._compile import compiled, inner, pointer
+from amusic_gym._compile import apart, compiled, inner, pointer
 
 if TYPE_CHECKING:
     from amusic_gym.bank import ScoreBank
@@ -91,7 +91,7 @@ def worse(scores: Any, a: int, b: int) -> bool:
     return scores[a] < scores[b] or (scores[a] == scores[b] and a > b)
 
 
-@inner
+@apart
 def sift(scores: Any, heap: Any, root: int, size: int) -> None:
     """Restore a heap of places whose root is the worst."""
     while True:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amusic_gym._compile import compiled, inner, reduction
+from amusic_gym._compile import apart, compiled, inner, reduction
 from amusic_gym.rows import RUN, mean_at, prepare, row_at, scale_at
 from amusic_gym.settings import SICSettings
 
@@ -31,6 +31,7 @@ SUMS = np.dtype(
         ("origin", np.int64),  # place c at frame n has its sum at sums[origin - n + c]
         ("last", np.int64),  # frame of the last row added, -1 before the first
         ("expired", np.int64),  # frames before this one have left the history
+        ("since", np.int64),  # the technique ran on every frame from this one to last
     ]
 )
 """Bookkeeping of one technique's running sums. Float64[R + SLACK] sums go with it."""
@@ -52,7 +53,7 @@ def add_row(sums: Any, base: int, run: Any, frame: int, decay: float) -> None:
             window[place] = decay * window[place] + (row[place] - mean) * scale
 
 
-@inner
+@apart
 def remove_row(sums: Any, base: int, run: Any, frame: int, age: int, weight: float) -> None:
     """Take a frame's z-scores, ``age`` frames old, out of the sums of their diagonals."""
     prepare(run, frame)  # as in add_row
@@ -63,7 +64,7 @@ def remove_row(sums: Any, base: int, run: Any, frame: int, age: int, weight: flo
         sums[base + age + place] -= (row[place] - mean) * scale
 
 
-@inner
+@apart
 def recentre(sums: Any, mark: Any, frame: int, size: int) -> None:
     """Move the window of R sums to the right end when the next frame would leave the left one.
 
@@ -104,34 +105,40 @@ def push(sums: Any, mark: Any, run: Any, ran: Any, frame: int, history: int, gam
         if ran[mark.expired] and mark.expired <= mark.last and age < run.references:
             remove_row(sums, base, run, mark.expired, age, gamma**age)
         mark.expired += 1
+    if frame != mark.last + 1:
+        mark.since = frame
     mark.last = frame
 
 
 @compiled
-def weigh(weights: Any, squares: Any, ran: Any, first: int, stop: int, gamma: float) -> None:
-    """Extend the prefix weights: ``weights[p + 1]`` = Σ γ^(p−i) over the frames i ≤ p that ran.
+def weigh(prefix: Any, ran: Any, first: int, stop: int, ratio: float) -> None:
+    """Extend the prefix weights: ``prefix[p + 1]`` = Σ ratio^(p−i) over the frames i ≤ p that ran.
 
-    ``squares`` likewise with γ². Both are (Q + 1,) and start with 0.
+    ``ratio`` is γ² for evidence and γ for mean; ``prefix`` is (Q + 1,) and starts with 0.
     """
     for frame in range(first, stop):
-        weights[frame + 1] = gamma * weights[frame] + ran[frame]
-        squares[frame + 1] = gamma * gamma * squares[frame] + ran[frame]
+        prefix[frame + 1] = ratio * prefix[frame] + ran[frame]
+
+
+@compiled
+def ratio_of(gamma: float, evidence: bool) -> float:
+    """What the weights of two neighbouring frames differ by: γ² in Σw², γ in Σw."""
+    return gamma * gamma if evidence else gamma
 
 
 @inner
-def weight_of(
-    prefix: Any, frame: int, place: int, history: int, gamma: float, evidence: bool
-) -> float:
+def weight_of(prefix: Any, since: int, frame: int, place: int, history: int, ratio: float) -> float:
     """Σw² (evidence) or Σw (mean) of the frames that count for a candidate.
 
-    ``prefix`` are the squares for evidence and the weights for mean. The walk back stops at the
-    start of the history, of the run or of the map, whichever is nearest.
+    The walk back stops at the start of the history, of the run or of the map, whichever is
+    nearest. Where the technique ran on all of these frames and γ is 1, counting them needs no
+    look-up.
     """
     span = min(history, frame, place)
-    before = prefix[frame - span]
-    if gamma != 1.0:
-        before *= (gamma * gamma if evidence else gamma) ** (span + 1)
-    return prefix[frame + 1] - before  # type: ignore[no-any-return]
+    first = frame - span
+    if ratio == 1.0:
+        return span + 1.0 if first >= since else prefix[frame + 1] - prefix[first]
+    return prefix[frame + 1] - prefix[first] * ratio ** (span + 1)  # type: ignore[no-any-return]
 
 
 @inner
@@ -159,10 +166,11 @@ def score_candidates(
     ``weights`` (K,) is scratch.
     """
     window = sums[mark.origin - frame :]
+    ratio = ratio_of(gamma, evidence)
     for rank in range(top.size):
         place = top[rank]
         out[rank] = window[place]
-        weights[rank] = weight_of(prefix, frame, place, history, gamma, evidence)
+        weights[rank] = weight_of(prefix, mark.since, frame, place, history, ratio)
     if evidence:
         for rank in range(top.size):
             out[rank] = statistic_of(out[rank], weights[rank], True)
@@ -230,8 +238,7 @@ class _History:
     top: NDArray[np.int32]  # (C, K)
     ready: NDArray[np.uint8]  # (C,)
     ran: NDArray[np.uint8]  # (C,)
-    weights: NDArray[np.float64]  # (C + 1,)
-    squares: NDArray[np.float64]  # (C + 1,)
+    prefix: NDArray[np.float64]  # (C + 1,) prefix weights
 
     @classmethod
     def empty(cls, capacity: int, references: int, candidates: int) -> _History:
@@ -243,8 +250,7 @@ class _History:
             top=np.zeros((capacity, candidates), np.int32),
             ready=np.zeros(capacity, np.uint8),
             ran=np.zeros(capacity, np.uint8),
-            weights=np.zeros(capacity + 1),
-            squares=np.zeros(capacity + 1),
+            prefix=np.zeros(capacity + 1),
         )
 
     def grown(self) -> _History:
@@ -337,7 +343,8 @@ class SIC:
 
     def _weigh(self, frame: int) -> None:
         rows = self._history
-        weigh(rows.weights, rows.squares, rows.ran, frame, frame + 1, self.settings.gamma)
+        ratio = ratio_of(self.settings.gamma, self.settings.statistic == "evidence")
+        weigh(rows.prefix, rows.ran, frame, frame + 1, ratio)
 
     def _match(self, frame: int) -> Match:
         settings, rows, mark = self.settings, self._history, self._mark[0]
@@ -346,7 +353,7 @@ class SIC:
         prepare(run, frame)
         push(self._sums, mark, run, rows.ran, frame, history, gamma)
         self._weigh(frame)
-        top, prefix = rows.top[frame], rows.squares if evidence else rows.weights
+        top, prefix = rows.top[frame], rows.prefix
         values, scratch = np.empty((2, top.size))
         score_candidates(
             self._sums, mark, top, prefix, frame, history, gamma, evidence, scratch, values

@@ -6,6 +6,7 @@ implementation of everything but Gymnasium's two calling conventions.
 
 from __future__ import annotations
 
+import inspect
 import math
 import operator
 from collections.abc import Mapping, Sequence
@@ -90,7 +91,11 @@ class Task:
         costs: str = "measured",
         reward: str | Reward = "estimated",
         render_mode: str | None = None,
+        **unknown: Any,
     ) -> None:
+        for name in unknown:
+            valid = [known for known in inspect.signature(Task).parameters if known != "num_routes"]
+            raise ValueError(suggest("environment argument", name, valid[:-1]))
         if num_routes < 1:
             raise ValueError(f"num_envs is {num_routes}; give at least 1")
         if render_mode is not None and render_mode not in RENDER_MODES:
@@ -177,7 +182,11 @@ class Task:
             if name not in RESET_OPTIONS:
                 raise ValueError(suggest("reset option", name, RESET_OPTIONS))
             value = value[i] if np.ndim(value) else value
-            given[name] = value if name == "compute_weight" else operator.index(value)
+            try:
+                given[name] = float(value) if name == "compute_weight" else operator.index(value)
+            except (TypeError, ValueError):
+                kind = "number" if name == "compute_weight" else "whole number"
+                raise ValueError(f"reset option {name} is {value!r}; give a {kind}") from None
         return given
 
     def check_actions(self, actions: ArrayLike, batch: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -240,8 +249,9 @@ class Task:
             inputs = RewardInputs(out, self.compute_weight(), lambda: zeros.astype(np.bool_))
             terms = {name: np.zeros_like(zeros) for name in self.reward(inputs)}
         slots = self.episodes.state.slots
-        infos: Infos = {name: out.routes[name].copy() for name in ROUTE_INFOS}
-        infos |= {name: out.slots[name].copy() for name in TECHNIQUE_INFOS}
+        # Fields of the outcome, which is fresh at every step: views that overlap nowhere.
+        infos: Infos = {name: out.routes[name] for name in ROUTE_INFOS}
+        infos |= {name: out.slots[name] for name in TECHNIQUE_INFOS}
         infos["route"] = np.array([-1 if r is None else r.index for r in self.episodes.routes])
         infos["present"] = slots["present"].astype(np.bool_)
         infos["run_seconds"] = slots["seconds"].copy()
@@ -249,9 +259,9 @@ class Task:
         infos["reward_terms"] = {name: np.array(term, np.float64) for name, term in terms.items()}
         if self.block:
             infos["selection"] = {
-                "happened": out.routes["happened"].copy(),
+                "happened": out.routes["happened"],
                 "corrections": out.corrections,
-                **{name: out.slots[name].copy() for name in SELECTION_INFOS},
+                **{name: out.slots[name] for name in SELECTION_INFOS},
             }
         return infos
 
@@ -304,7 +314,8 @@ def masked(infos: Infos, mask: NDArray[np.bool_]) -> Infos:
     """Infos as Gymnasium's vector environments give them: zero and unset outside ``mask``."""
     result: Infos = {}
     everyone = bool(mask.all())
-    for name, value in infos.items():
+    masks = np.repeat(mask[np.newaxis], len(infos), axis=0)  # a row each: none is shared
+    for (name, value), own in zip(infos.items(), masks, strict=True):
         if isinstance(value, dict):
             result[name] = masked(value, mask)
         elif everyone:
@@ -312,5 +323,5 @@ def masked(infos: Infos, mask: NDArray[np.bool_]) -> Infos:
         else:
             kept = mask.reshape(-1, *[1] * (value.ndim - 1))
             result[name] = np.where(kept, value, np.zeros_like(value))
-        result[f"_{name}"] = mask.copy()
+        result[f"_{name}"] = own
     return result

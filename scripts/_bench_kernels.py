@@ -18,8 +18,7 @@ def correct_routes(
     marks: Any,
     runs: Any,
     ran: Any,
-    weights: Any,
-    squares: Any,
+    prefix: Any,
     values: Any,
     scratch: Any,
     frame: int,
@@ -34,8 +33,7 @@ def correct_routes(
         marks: (N,) SUMS records.
         runs: (N,) RUN records; their rows are prepared.
         ran: (N, Q) uint8.
-        weights: (N, Q + 1) float64 prefix weights.
-        squares: (N, Q + 1) float64 prefix squared weights.
+        prefix: (N, Q + 1) float64 prefix weights.
         values: (K,) float64 scratch.
         scratch: (K,) float64, more of it.
         frame: frame index.
@@ -45,11 +43,11 @@ def correct_routes(
     """
     for i in range(places.size):
         ran[i, frame] = 1
-        weigh(weights[i], squares[i], ran[i], frame, frame + 1, 1.0)
+        weigh(prefix[i], ran[i], frame, frame + 1, 1.0)
         push(sums[i], marks[i], runs[i], ran[i], frame, history, 1.0)
         top = top_at(runs[i], frame)
         score_candidates(
-            sums[i], marks[i], top, squares[i], frame, history, 1.0, True, scratch, values
+            sums[i], marks[i], top, prefix[i], frame, history, 1.0, True, scratch, values
         )
         winner = first_best(values, top.size)
         places[i] = top[winner]

@@ -139,8 +139,8 @@ class Corrections:
             state.marks[0, :, 0],
             state.runs[:, 0],
         )
-        self.histories = (state.ran[:, 0], state.weights[:, 0], state.squares[:, 0])
-        self.values = state.values[0]
+        self.histories = (state.ran[:, 0], state.prefix[:, 0])
+        self.values, self.scratch = state.values[0], state.scratch
         self.places = np.zeros(sizes.routes, np.int64)
         self.statistics = np.zeros(sizes.routes)
         self.history, self._correct = sizes.history, correct_routes
@@ -154,7 +154,7 @@ class Corrections:
     def at(self, frame: int) -> None:
         """One correction on every route."""
         self._correct(
-            *(self.sums, self.marks, self.runs, *self.histories, self.values),
+            *(self.sums, self.marks, self.runs, *self.histories, self.values, self.scratch),
             *(frame, self.history, self.places, self.statistics),
         )
 

@@ -48,7 +48,8 @@ def corrected(bank: ScoreBank, statistic: str) -> NDArray[np.int64]:
     env.reset(seed=0)
     everything = np.ones(len(bank.techniques), np.int8)
     infos = [env.step(everything)[-1] for _ in range(bank.queries)]
-    return np.stack([info["place"] for info in infos], axis=1).astype(np.int64)
+    places: NDArray[np.int64] = np.stack([info["place"] for info in infos], axis=1)
+    return places
 
 
 def measure(banks: Sequence[ScoreBank]) -> Rows:
@@ -65,7 +66,8 @@ def measure(banks: Sequence[ScoreBank]) -> Rows:
 def column(rows: Rows, key: str) -> NDArray[np.float64]:
     """One measure over all rows that have it."""
     values = np.array([row[key] for row in rows.values()])
-    return values[np.isfinite(values)]
+    finite: NDArray[np.float64] = values[np.isfinite(values)]
+    return finite
 
 
 def print_table(simulated: Rows, real: Rows) -> None:

@@ -213,7 +213,7 @@ def test_34_ctrl_c_in_the_command_saves_a_checkpoint_and_exits_130(tmp_path, ban
     assert rollout(first, random_bank(2), name="ppo", compute_weight=1.0).ran.any()
     assert command(*options, "--timesteps", 128, "--resume") == (0, [])
     assert timesteps(run) == saved + 96  # whole updates of 32
-    assert evaluated(run) == [148]
+    assert evaluated(run) == [116, 148]
 
 
 @pytest.mark.parametrize(
@@ -223,7 +223,7 @@ def test_34_ctrl_c_in_the_command_saves_a_checkpoint_and_exits_130(tmp_path, ban
         (HeldOut, "evaluate", 2),  # the last one, after 96
         (keeper_module, "write_selector", 1),
         (keeper_module, "write_tensors", 2),  # 1 is the empty one before the first frame
-        (keeper_module, "write_whole", 1),
+        (keeper_module, "write_whole", 2),  # 1 as well
         (Keeper, "_on_step", 10),
     ],
 )
