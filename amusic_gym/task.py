@@ -249,9 +249,8 @@ class Task:
             inputs = RewardInputs(out, self.compute_weight(), lambda: zeros.astype(np.bool_))
             terms = {name: np.zeros_like(zeros) for name in self.reward(inputs)}
         slots = self.episodes.state.slots
-        # Fields of the outcome, which is fresh at every step: views that overlap nowhere.
-        infos: Infos = {name: out.routes[name] for name in ROUTE_INFOS}
-        infos |= {name: out.slots[name] for name in TECHNIQUE_INFOS}
+        infos: Infos = {name: out.routes[name].copy() for name in ROUTE_INFOS}
+        infos |= {name: out.slots[name].copy() for name in TECHNIQUE_INFOS}
         infos["route"] = np.array([-1 if r is None else r.index for r in self.episodes.routes])
         infos["present"] = slots["present"].astype(np.bool_)
         infos["run_seconds"] = slots["seconds"].copy()
@@ -259,9 +258,9 @@ class Task:
         infos["reward_terms"] = {name: np.array(term, np.float64) for name, term in terms.items()}
         if self.block:
             infos["selection"] = {
-                "happened": out.routes["happened"],
+                "happened": out.routes["happened"].copy(),
                 "corrections": out.corrections,
-                **{name: out.slots[name] for name in SELECTION_INFOS},
+                **{name: out.slots[name].copy() for name in SELECTION_INFOS},
             }
         return infos
 
