@@ -52,7 +52,7 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     | chosen | 1 if MuSIC trusts it on this frame |
     | cost_share | seconds / Σ seconds |
     | cost_log | 1 + log10(cost_share) / 4, at least −1 |
-    | price | squash of λ · cost_share |
+    | price | λ · cost_share on a logarithmic scale, 0.001 → −1, 0.1 → 0, 10 → 1, clipped |
 
     | route | meaning |
     |---|---|

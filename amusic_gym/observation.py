@@ -52,6 +52,9 @@ ROUTE_FEATURES = (
 SQUASH_HALF = 4.0
 """The number that squash maps to one half."""
 
+TINY = 1e-9
+"""Stands for 0 where a logarithm is taken."""
+
 SMOOTHING = 0.2
 """Weight of the newest value in every running mean of the observation."""
 
@@ -91,13 +94,14 @@ def observe_technique(slot: Any, route: Any, out: Any) -> None:
     out[11] = slot.chosen
     out[12] = share
     out[13] = max(1.0 + math.log10(share) / 4.0, -1.0)
-    out[14] = squash(route.compute_weight * share)
+    price = math.log10(max(route.compute_weight * share, TINY))
+    out[14] = min(max(0.5 * price + 0.5, -1.0), 1.0)
 
 
 @inner
 def observe_route(route: Any, out: Any) -> None:
     """Write the route's group to ``out``."""
-    weight = (math.log10(max(route.compute_weight, 1e-9)) - _LOG_LOW) / _LOG_SPAN
+    weight = (math.log10(max(route.compute_weight, TINY)) - _LOG_LOW) / _LOG_SPAN
     out[0] = min(max(2.0 * weight - 1.0, -1.0), 1.0)
     out[1] = 1.0 if route.prediction >= 0 else 0.0
     out[2] = squash(route.confidence)

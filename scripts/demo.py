@@ -35,7 +35,7 @@ HELD_OUT_SEED = 3_000
 PLANTED_SEED = 3_100
 PLANTED = "planted"
 REAL = ("HOG", "CALC", "CoHOG", "NetVLAD")
-TIMESTEPS = 600_000
+TIMESTEPS = 700_000
 POLICIES = ("amusic", "amusic:evidence", "music", "cascade", "random:0.3", "oracle")
 
 _begun = time.monotonic()

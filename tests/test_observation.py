@@ -121,7 +121,7 @@ class Observer:
             float(info["technique"] == t),
             share,
             max(-1.0, 1 + math.log10(share) / 4),
-            squash(self.weight * share),
+            max(-1.0, min(1.0, 0.5 + 0.5 * math.log10(self.weight * share))),
         ]
 
     def route_group(self, frame: int, info: dict) -> list[float]:
