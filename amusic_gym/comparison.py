@@ -127,11 +127,11 @@ def compare(
     comparison_files.sweep(out / ROWS)
     traces, rows = [], []
     for number, (entry, stem) in enumerate(zip(entries, stems, strict=True), 1):
-        trace, kept = _finish(entry, out / ROWS, report)
+        trace, row, kept = _finish(entry, out / ROWS, report)
         trace.write_csv(out / TRACES / f"{stem}.csv")
         traces.append(trace)
-        rows.append(metrics.summarise(trace))
-        report(f"[{number}/{len(entries)}] {_line(rows[-1])}{' (was finished)' if kept else ''}")
+        rows.append(row)
+        report(f"[{number}/{len(entries)}] {_line(row)}{' (was finished)' if kept else ''}")
     mean = metrics.mean_rows(_shared(rows))
     comparison_files.save_results(out / RESULTS, rows, mean)
     return Comparison(traces, rows, mean)
@@ -181,18 +181,19 @@ def _entries(
     return entries
 
 
-def _finish(entry: _Entry, folder: Path, report: Report) -> tuple[Trace, bool]:
-    """The entry's trace, and whether it was there already."""
+def _finish(entry: _Entry, folder: Path, report: Report) -> tuple[Trace, dict[str, Any], bool]:
+    """The entry's trace and row, and whether it was there already."""
     try:
         trace = comparison_files.load_row(folder, entry.key, entry.context.bank)
     except ValueError as error:
         report(f"{error}: computed again")
         trace = None
     if trace is not None:
-        return trace, True
+        return trace, metrics.summarise(trace), True
     trace = entry.run()
-    comparison_files.save_row(folder, entry.key, trace, metrics.summarise(trace))
-    return trace, False
+    row = metrics.summarise(trace)
+    comparison_files.save_row(folder, entry.key, trace, row)
+    return trace, row, False
 
 
 def distinct(names: Sequence[str], taken: Iterable[str] = ()) -> list[str]:

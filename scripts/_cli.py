@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -49,8 +50,11 @@ def run(main: Callable[[], int | None]) -> NoReturn:
     """Run a script's ``main`` and exit.
 
     Exit status: what ``main`` returns, or 0; 2 for bad arguments or input, one line on stderr;
-    130 on Ctrl-C.
+    130 on Ctrl-C. Warnings are one line on stderr too.
     """
+    warnings.formatwarning = lambda message, *_, **__: (
+        f"warning: {' '.join(str(message).split())}\n"
+    )
     try:
         status = main() or 0
     except KeyboardInterrupt:
@@ -77,6 +81,10 @@ def pairs(items: Sequence[str], what: str) -> dict[str, str]:
             raise ValueError(f"{what} names {name!r} twice; give each name once")
         result[name] = value
     return result
+
+
+def _one_line(message: Warning | str, *_: Any, **__: Any) -> str:
+    return f"warning: {' '.join(str(message).split())}\n"
 
 
 def _sentence(error: Exception) -> str:

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import os
 import time
+import warnings
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 from _cli import Parser, run
 from _contestants import contestants
 
@@ -30,7 +32,7 @@ from amusic_gym.settings import SICSettings
 
 import _demo_story as story  # isort: skip
 
-HELD_OUT = 4
+HELD_OUT = 6
 HELD_OUT_SEED = 3_000
 PLANTED_SEED = 3_100
 PLANTED = "planted"
@@ -46,11 +48,27 @@ def say(text: str) -> None:
     print(f"[{time.monotonic() - _begun:4.0f} s] {text}", flush=True)
 
 
+def by_cost(bank: ScoreBank, name: str) -> ScoreBank:
+    """The route with its techniques called T1, T2, … from the cheapest to the dearest.
+
+    Simulated techniques have no names that mean the same on every route; their ranks do, and make
+    the mean of a fixed subset over routes a policy that one could run.
+    """
+    order = np.argsort(bank.seconds, kind="stable")
+    return ScoreBank(
+        bank.scores[order],
+        [f"T{rank + 1}" for rank in range(order.size)],
+        bank.seconds[order],
+        tolerance=bank.tolerance,
+        ground_truth=bank.truth,
+        name=name,
+        source=bank.source,
+    )
+
+
 def routes(given: list[Path]) -> tuple[list[ScoreBank], list[ScoreBank]]:
     """Simulated routes that no training draws, and other recordings."""
-    simulated = [simulate(HELD_OUT_SEED + i) for i in range(HELD_OUT)]
-    for i, bank in enumerate(simulated):
-        bank.name = f"held-out-{i + 1}"
+    simulated = [by_cost(simulate(HELD_OUT_SEED + i), f"held-out-{i + 1}") for i in range(HELD_OUT)]
     changing = planted(PLANTED_SEED)
     changing.name = PLANTED
     others = [changing]
@@ -97,13 +115,16 @@ def main() -> None:
 
     say("comparing it")
     policies = [*POLICIES, f"ppo:{run_folder}"]
-    comparison = compare(
-        [*simulated, *others],
-        lambda bank: contestants([*policies, *all_subsets(bank.techniques)]),
-        given.out,
-        statistic=SICSettings.statistic,
-        report=partial(print, flush=True),
-    )
+    with warnings.catch_warnings():
+        # Techniques that are never right are part of simulated routes, not a sign of bad input.
+        warnings.filterwarnings("ignore", message=".*has no correct match")
+        comparison = compare(
+            [*simulated, *others],
+            lambda bank: contestants([*policies, *all_subsets(bank.techniques)]),
+            given.out,
+            statistic=SICSettings.statistic,
+            report=partial(print, flush=True),
+        )
     tell(given.out, comparison, [bank.name for bank in simulated])
     say(f"done: open {given.out / 'index.html'}")
 
