@@ -65,17 +65,6 @@ def apart(function: Function) -> Function:
     return compiled_function
 
 
-def reduction(function: Function) -> Function:
-    """As :func:`inner`, for loops that look for an extreme value of finite numbers or −∞.
-
-    Without NaN and signed zeros the order of comparisons does not matter, so that the compiler may
-    do several at once; no rounding is involved.
-    """
-    fast = {"nnan", "nsz"}
-    compiled_function: Function = _njit(**INNER, forceinline=True, fastmath=fast)(function)
-    return compiled_function
-
-
 def _pointer(typing_context: Any, address: Any) -> Any:
     """Turn an integer address into a pointer for ``numba.carray``.
 

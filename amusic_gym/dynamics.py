@@ -44,6 +44,7 @@ ROUTE = np.dtype(
         ("tolerance", np.int64),
         ("total_seconds", np.float64),  # Σ seconds of the techniques present
         ("compute_weight", np.float64),  # λ
+        ("weight_log", np.float64),  # λ as the observation has it
         ("prediction", np.int64),  # -1 until there is one
         ("confidence", np.float64),
         ("margin", np.float64),
@@ -61,12 +62,16 @@ SLOT = np.dtype(
     [
         ("present", np.uint8),
         ("seconds", np.float64),  # declared cost of one run
+        ("cost_share", np.float64),  # costs as the observation has them
+        ("cost_log", np.float64),
+        ("price", np.float64),
         ("ran", np.uint8),  # on this frame
         ("chosen", np.uint8),  # trusted by MuSIC on this frame
         ("last_run", np.int64),  # -1 before the first
         ("place", np.int64),  # corrected match of the last run
         ("statistic", np.float64),
-        ("margin", np.float64),  # over the technique's own best rival
+        ("rival", np.float64),  # statistic of the technique's own best rival, -inf: none
+        ("margin", np.float64),  # over that rival
         ("correction", np.float64),
         ("agrees", np.float64),  # 1 if place, moved along its diagonal, is the fused one
         ("agreement", np.float64),  # running mean of agrees over the runs
@@ -171,6 +176,7 @@ def remember(state: State, tolerance: int, i: int, s: int, frame: int, winner: i
     slot.statistic = values[winner]
     slot.correction = values[winner] - values[0]
     rival = best_rival(values, top, top.size, slot.place, tolerance, -math.inf)
+    slot.rival = rival
     slot.margin = slot.statistic - rival if rival > -math.inf else 0.0
 
 
@@ -313,7 +319,11 @@ def fuse(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
     place = slots[chosen].place
     rival = -math.inf
     for s in range(slots.size):
-        if slots[s].ran:
+        if not slots[s].ran:
+            continue
+        if s == chosen:
+            rival = max(rival, slots[s].rival)
+        else:
             top = top_at(state.runs[i, s], frame)
             rival = best_rival(state.values[s], top, top.size, place, route.tolerance, rival)
     has_rival = rival > -math.inf
@@ -345,7 +355,7 @@ def stored_statistic(state: State, rules: Rules, i: int, s: int, place: int) -> 
     prefix = state.prefix[i, s]
     total = state.sums[LIVE, i, s, mark.origin - frame + place]
     ratio = ratio_of(rules.gamma, rules.evidence)
-    weight = weight_of(prefix, mark.since, frame, place, rules.history, ratio)
+    weight = weight_of(prefix, frame, place, rules.history, ratio)
     return statistic_of(total, weight, rules.evidence)
 
 

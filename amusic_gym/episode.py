@@ -26,7 +26,7 @@ from amusic_gym.dynamics import (
     State,
     step_routes,
 )
-from amusic_gym.observation import observation_size
+from amusic_gym.observation import declare_costs, observation_size
 from amusic_gym.rows import RUN
 from amusic_gym.settings import BLOCK, COVERAGE, SICSettings
 from amusic_gym.sic import SLACK, SUMS
@@ -145,6 +145,7 @@ class Episodes:
         slots["present"] = present
         slots["last_run"] = -1
         slots["seconds"][present] = bank.seconds[route.columns[present]]
+        declare_costs(record, slots)
         marks = state.marks[:, i]
         marks[:] = np.zeros(1, SUMS)
         marks["last"] = -1

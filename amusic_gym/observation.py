@@ -10,6 +10,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from amusic_gym._compile import inner
 from amusic_gym.settings import COMPUTE_WEIGHT_RANGE
@@ -79,7 +80,6 @@ def squash(value: float) -> float:
 @inner
 def observe_technique(slot: Any, route: Any, out: Any) -> None:
     """Write one technique's group to ``out``."""
-    share = slot.seconds / route.total_seconds
     out[0] = 1.0
     out[1] = slot.ran
     out[2] = squash(slot.statistic)
@@ -92,17 +92,15 @@ def observe_technique(slot: Any, route: Any, out: Any) -> None:
     out[9] = squash(slot.stored)
     out[10] = squash(route.frame - slot.last_run) if slot.last_run >= 0 else 1.0
     out[11] = slot.chosen
-    out[12] = share
-    out[13] = max(1.0 + math.log10(share) / 4.0, -1.0)
-    price = math.log10(max(route.compute_weight * share, TINY))
-    out[14] = min(max(0.5 * price + 0.5, -1.0), 1.0)
+    out[12] = slot.cost_share
+    out[13] = slot.cost_log
+    out[14] = slot.price
 
 
 @inner
 def observe_route(route: Any, out: Any) -> None:
     """Write the route's group to ``out``."""
-    weight = (math.log10(max(route.compute_weight, TINY)) - _LOG_LOW) / _LOG_SPAN
-    out[0] = min(max(2.0 * weight - 1.0, -1.0), 1.0)
+    out[0] = route.weight_log
     out[1] = 1.0 if route.prediction >= 0 else 0.0
     out[2] = squash(route.confidence)
     out[3] = squash(route.margin)
@@ -126,13 +124,25 @@ def observe(route: Any, slots: Any, out: Any) -> None:
     observe_route(route, out[slots.size * width :])
 
 
+def declare_costs(route: NDArray[Any], slots: NDArray[Any]) -> None:
+    """Write the entries that hold for a whole episode to its ROUTE (1,) and SLOT (S,) records."""
+    present = slots["present"] > 0
+    share = slots["seconds"][present] / route["total_seconds"]
+    slots["cost_share"][present] = share
+    slots["cost_log"][present] = np.maximum(1.0 + np.log10(share) / 4.0, -1.0)
+    price = np.log10(np.maximum(route["compute_weight"] * share, TINY))
+    slots["price"][present] = np.clip(0.5 * price + 0.5, -1.0, 1.0)
+    weight = (np.log10(np.maximum(route["compute_weight"], TINY)) - _LOG_LOW) / _LOG_SPAN
+    route["weight_log"] = np.clip(2.0 * weight - 1.0, -1.0, 1.0)
+
+
 def observation_names(techniques: tuple[str, ...]) -> list[str]:
     """Name of every entry of the observation, in order."""
     names = [f"{t}.{feature}" for t in techniques for feature in TECHNIQUE_FEATURES]
     return names + [f"route.{feature}" for feature in ROUTE_FEATURES]
 
 
-def bounds(slots: int) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+def bounds(slots: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Lower and upper bounds (D,) float32 of the observation."""
     size = observation_size(slots)
     return np.full(size, -1.0, np.float32), np.full(size, 1.0, np.float32)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amusic_gym._compile import apart, compiled, inner, reduction
+from amusic_gym._compile import apart, compiled, inner
 from amusic_gym.rows import RUN, mean_at, prepare, row_at, scale_at
 from amusic_gym.settings import SICSettings
 
@@ -127,18 +127,18 @@ def ratio_of(gamma: float, evidence: bool) -> float:
 
 
 @inner
-def weight_of(prefix: Any, since: int, frame: int, place: int, history: int, ratio: float) -> float:
+def weight_of(prefix: Any, frame: int, place: int, history: int, ratio: float) -> float:
     """Σw² (evidence) or Σw (mean) of the frames that count for a candidate.
 
     The walk back stops at the start of the history, of the run or of the map, whichever is
-    nearest. Where the technique ran on all of these frames and γ is 1, counting them needs no
-    look-up.
+    nearest.
     """
     span = min(history, frame, place)
-    first = frame - span
-    if ratio == 1.0:
-        return span + 1.0 if first >= since else prefix[frame + 1] - prefix[first]
-    return prefix[frame + 1] - prefix[first] * ratio ** (span + 1)  # type: ignore[no-any-return]
+    before = prefix[frame - span]
+    if ratio != 1.0:
+        before *= ratio ** (span + 1)
+    weight: float = prefix[frame + 1] - before
+    return weight
 
 
 @inner
@@ -167,10 +167,16 @@ def score_candidates(
     """
     window = sums[mark.origin - frame :]
     ratio = ratio_of(gamma, evidence)
-    for rank in range(top.size):
-        place = top[rank]
-        out[rank] = window[place]
-        weights[rank] = weight_of(prefix, mark.since, frame, place, history, ratio)
+    reach = min(history, frame)
+    if ratio == 1.0 and frame - reach >= mark.since:
+        # It ran on every frame that counts: the weights need no look-up.
+        for rank in range(top.size):
+            out[rank] = window[np.uintp(top[rank])]  # unsigned: no check for a negative index
+            weights[rank] = min(reach, top[rank]) + 1.0
+    else:
+        for rank in range(top.size):
+            out[rank] = window[np.uintp(top[rank])]
+            weights[rank] = weight_of(prefix, frame, top[rank], history, ratio)
     if evidence:
         for rank in range(top.size):
             out[rank] = statistic_of(out[rank], weights[rank], True)
@@ -185,13 +191,23 @@ def tie(best: float) -> float:
     return ABSOLUTE_TIE + RELATIVE_TIE * abs(best)
 
 
-@reduction
+@inner
 def highest(values: Any, size: int) -> float:
-    """Largest of the first ``size`` values."""
-    best = values[0]
-    for i in range(1, size):
-        best = values[i] if values[i] > best else best
-    return best  # type: ignore[no-any-return]
+    """Largest of the first ``size`` values.
+
+    In four lanes, here and in :func:`best_rival`: comparisons of one chain wait for each other.
+    """
+    a, b, c, d = values[0], -math.inf, -math.inf, -math.inf
+    even = size - size % 4
+    for i in range(0, even, 4):
+        a = values[i] if values[i] > a else a
+        b = values[i + 1] if values[i + 1] > b else b
+        c = values[i + 2] if values[i + 2] > c else c
+        d = values[i + 3] if values[i + 3] > d else d
+    for i in range(even, size):
+        a = values[i] if values[i] > a else a
+    best: float = max(max(a, b), max(c, d))
+    return best
 
 
 @compiled
@@ -205,13 +221,26 @@ def first_best(values: Any, size: int) -> int:
     return 0
 
 
-@reduction
+@inner
+def value_beyond(values: Any, top: Any, rank: int, place: int, tolerance: int) -> float:
+    """Statistic of a candidate beyond ``tolerance`` of ``place``; −∞ for one within it."""
+    value: float = values[rank] if abs(top[rank] - place) > tolerance else -math.inf
+    return value
+
+
+@inner
 def best_rival(values: Any, top: Any, size: int, place: int, tolerance: int, best: float) -> float:
     """Highest of ``best`` and the statistics of candidates beyond ``tolerance`` of ``place``."""
-    for rank in range(size):
-        value = values[rank] if abs(top[rank] - place) > tolerance else -math.inf
-        best = value if value > best else best
-    return best
+    a, b, c, d = best, -math.inf, -math.inf, -math.inf
+    even = size - size % 4
+    for i in range(0, even, 4):
+        a = max(a, value_beyond(values, top, i, place, tolerance))
+        b = max(b, value_beyond(values, top, i + 1, place, tolerance))
+        c = max(c, value_beyond(values, top, i + 2, place, tolerance))
+        d = max(d, value_beyond(values, top, i + 3, place, tolerance))
+    for i in range(even, size):
+        a = max(a, value_beyond(values, top, i, place, tolerance))
+    return max(max(a, b), max(c, d))
 
 
 class Match(NamedTuple):
