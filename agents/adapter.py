@@ -30,10 +30,11 @@ class SB3VecEnv(VecEnv):
     """
 
     def __init__(self, env: TechniqueSelectionVectorEnv) -> None:
-        if env.autoreset_mode is not AutoresetMode.SAME_STEP:
+        mode = getattr(env, "autoreset_mode", None)
+        if mode is not AutoresetMode.SAME_STEP:
             raise ValueError(
-                f"autoreset mode {env.autoreset_mode.value!r}: Stable-Baselines3 needs"
-                f" autoreset_mode='SameStep'"
+                f"{type(env).__name__} with autoreset mode {getattr(mode, 'value', mode)!r}:"
+                f" Stable-Baselines3 needs gymnasium.make_vec(..., autoreset_mode='SameStep')"
             )
         self.env = env
         self.render_mode = env.render_mode

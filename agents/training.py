@@ -94,6 +94,11 @@ def train(
     keeper.init_callback(model)
     if resume:
         keeper.restore()
+        if config.timesteps + config.rollout <= model.num_timesteps:  # more than the overshoot
+            raise ValueError(
+                f"{out} has {model.num_timesteps} frames of training already; give more timesteps"
+                f" than {config.timesteps} to go on"
+            )
         keeper.write_records()
     else:
         keeper.begin()

@@ -338,9 +338,9 @@ def fuse(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
 @inner
 def coast(route: Any) -> None:
     """Move the prediction on by one place when nothing ran."""
-    route.continues = 1.0 if route.prediction >= 0 else 0.0
-    if route.prediction >= 0:
-        route.prediction = min(route.prediction + 1, route.references - 1)
+    moves = 0 <= route.prediction < route.references - 1
+    route.continues = 1.0 if moves else 0.0
+    route.prediction += moves
     route.margin = 0.0
     route.confidence *= IDLE_DECAY
     route.p_correct *= IDLE_DECAY

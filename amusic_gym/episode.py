@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +27,7 @@ from amusic_gym.dynamics import (
 )
 from amusic_gym.observation import declare_costs, observation_size
 from amusic_gym.rows import RUN
-from amusic_gym.settings import BLOCK, COVERAGE, SICSettings
+from amusic_gym.settings import COVERAGE, SICSettings
 from amusic_gym.sic import SLACK, SUMS
 
 
@@ -71,7 +70,7 @@ class Episodes:
         slots: int,
         settings: SICSettings,
         *,
-        reselection: int = BLOCK,
+        reselection: int = 0,
         coverage: float = COVERAGE,
         allow_idle: bool = False,
     ) -> None:
@@ -227,9 +226,6 @@ class Episodes:
         seen: NDArray[np.int64] = self.state.routes["frame"] + 1
         return seen
 
-    def __getstate__(self) -> dict[str, Any]:
-        return dict(self.__dict__)
-
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore a copy and write the addresses of its own banks' rows."""
         self.__dict__.update(state)
@@ -241,31 +237,3 @@ class Episodes:
         memo[id(self)] = twin
         twin.__setstate__({k: copy.deepcopy(v, memo) for k, v in self.__dict__.items()})
         return twin
-
-
-def columns_for(bank: ScoreBank, techniques: Sequence[str] | None, slots: int) -> NDArray[np.int64]:
-    """Technique of ``bank`` for each slot: aligned by name, or the bank's own order.
-
-    Args:
-        bank: the bank.
-        techniques: names of the slots; None: the bank's techniques fill the first slots.
-        slots: S.
-
-    Raises:
-        ValueError: if the bank's names are not those, or there are more than S.
-    """
-    if techniques is None:
-        if len(bank.techniques) > slots:
-            raise ValueError(
-                f"bank {bank.name!r} has {len(bank.techniques)} techniques for {slots} slots;"
-                f" give slots={len(bank.techniques)} or more"
-            )
-        columns = np.full(slots, -1, np.int64)
-        columns[: len(bank.techniques)] = np.arange(len(bank.techniques))
-        return columns
-    if sorted(bank.techniques) != sorted(techniques):
-        raise ValueError(
-            f"bank {bank.name!r} has the techniques {', '.join(bank.techniques)}, the first bank"
-            f" {', '.join(techniques)}; give banks of the same techniques, or slots=S for any"
-        )
-    return np.array([bank.techniques.index(name) for name in techniques], np.int64)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
+from amusic_gym.checks import number, whole
 from amusic_gym.names import suggest
 
 STATISTICS = ("mean", "evidence")
@@ -22,7 +22,7 @@ COMPUTE_WEIGHT_RANGE = (0.01, 10.0)
 
 @dataclass(frozen=True)
 class SICSettings:
-    """How SIC corrects a technique (A-MuSIC, III-A and IV-D).
+    """How SIC corrects a technique (A-MuSIC, III-A and IV-C).
 
     Args:
         statistic: ``"mean"`` (the paper) or ``"evidence"``.
@@ -42,9 +42,9 @@ class SICSettings:
     def __post_init__(self) -> None:
         if self.statistic not in STATISTICS:
             raise ValueError(suggest("statistic", self.statistic, STATISTICS))
-        if not isinstance(self.candidates, int) or self.candidates < 1:
-            raise ValueError(f"candidates (K) is {self.candidates!r}; give a whole number >= 1")
-        if not isinstance(self.history, int) or self.history < 0:
-            raise ValueError(f"history (F) is {self.history!r}; give a whole number >= 0")
-        if not (math.isfinite(self.gamma) and 0.0 < self.gamma <= 1.0):
+        object.__setattr__(self, "candidates", whole("candidates (K)", self.candidates, 1))
+        object.__setattr__(self, "history", whole("history (F)", self.history, 0))
+        gamma = number("gamma", self.gamma, "a number in (0, 1]")
+        if not 0.0 < gamma <= 1.0:
             raise ValueError(f"gamma is {self.gamma!r}; give a number in (0, 1]")
+        object.__setattr__(self, "gamma", gamma)

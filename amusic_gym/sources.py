@@ -8,16 +8,15 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from amusic_gym.bank import ScoreBank
+from amusic_gym.bank import COST_MODELS, ScoreBank
 from amusic_gym.names import suggest
 
 if TYPE_CHECKING:
     from amusic_gym.routes.simulate import Simulation
 
 BankLike = str | os.PathLike[str] | ScoreBank
-
-COST_MODELS = ("measured", "paper", "runs")
 
 
 @runtime_checkable
@@ -44,6 +43,34 @@ class RouteSource(Protocol):
         ...
 
 
+def columns_for(bank: ScoreBank, techniques: Sequence[str] | None, slots: int) -> NDArray[np.int64]:
+    """Technique of ``bank`` for each slot: aligned by name, or the bank's own order.
+
+    Args:
+        bank: the bank.
+        techniques: names of the slots; None: the bank's techniques fill the first slots.
+        slots: S.
+
+    Raises:
+        ValueError: if the bank's names are not those, or there are more than S.
+    """
+    if techniques is None:
+        if len(bank.techniques) > slots:
+            raise ValueError(
+                f"bank {bank.name!r} has {len(bank.techniques)} techniques for {slots} slots;"
+                f" give slots={len(bank.techniques)} or more"
+            )
+        columns = np.full(slots, -1, np.int64)
+        columns[: len(bank.techniques)] = np.arange(len(bank.techniques))
+        return columns
+    if sorted(bank.techniques) != sorted(techniques):
+        raise ValueError(
+            f"bank {bank.name!r} has the techniques {', '.join(bank.techniques)}, the first bank"
+            f" {', '.join(techniques)}; give banks of the same techniques, or slots=S for any"
+        )
+    return np.array([bank.techniques.index(name) for name in techniques], np.int64)
+
+
 class Banks:
     """A fixed list of banks, drawn uniformly.
 
@@ -53,7 +80,7 @@ class Banks:
         aligned: whether all banks must hold the same techniques.
 
     Raises:
-        ValueError: for an empty list.
+        ValueError: for an empty list, or banks of different techniques that must be the same.
         FileNotFoundError: for a folder that is not there.
     """
 
@@ -67,6 +94,9 @@ class Banks:
         loaded = [b if isinstance(b, ScoreBank) else ScoreBank.load(b) for b in banks]
         self.banks = loaded if costs == "measured" else [b.with_costs(costs) for b in loaded]
         self._aligned = aligned
+        if aligned:
+            for bank in self.banks:
+                columns_for(bank, self.banks[0].techniques, self.slots)
 
     @property
     def techniques(self) -> tuple[str, ...] | None:
@@ -97,7 +127,7 @@ class SimulatedRoutes:
     Args:
         simulation: what is drawn; None: the defaults.
         pool: how many different routes; None: every episode's is new.
-        seed: first seed of the pool, so that training and held-out routes can be kept apart.
+        seed: routes of another seed are other routes: training and held-out ones, for example.
         keep: how many routes are held in memory.
     """
 
@@ -130,9 +160,16 @@ class SimulatedRoutes:
         return self.simulation.most_techniques
 
     def sample(self, rng: np.random.Generator, index: int | None) -> tuple[ScoreBank, int]:
-        """Draw a route; its number is its seed counted from the first."""
+        """Draw a route, or take the one of number ``index``.
+
+        Raises:
+            ValueError: if there is no such number.
+        """
+        routes = self.pool if self.pool is not None else 2**31
         if index is None:
-            index = int(rng.integers(self.pool if self.pool is not None else 2**31))
+            index = int(rng.integers(routes))
+        if not 0 <= index < routes:
+            raise ValueError(f"route {index}: there are {routes}, numbered from 0")
         if index not in self._routes:
             generator = np.random.default_rng([self.seed, index])
             self._routes[index] = self.simulation.route(generator)
@@ -149,11 +186,19 @@ class SimulatedRoutes:
 def as_source(
     bank: BankLike | Sequence[BankLike] | RouteSource | None, *, costs: str, aligned: bool
 ) -> RouteSource:
-    """Turn what a user may give as ``bank`` into a source of routes."""
-    if bank is None:
-        return SimulatedRoutes()
+    """Turn what a user may give as ``bank`` into a source of routes.
+
+    Raises:
+        ValueError: for anything else, or a cost model that would have no effect.
+    """
+    if costs not in COST_MODELS:
+        raise ValueError(suggest("cost model", costs, COST_MODELS))
     if isinstance(bank, ScoreBank | str | os.PathLike):
-        return Banks([bank], costs=costs, aligned=aligned)
-    if isinstance(bank, RouteSource):
-        return bank
-    return Banks(list(bank), costs=costs, aligned=aligned)
+        bank = [bank]
+    if isinstance(bank, Sequence):
+        return Banks(bank, costs=costs, aligned=aligned)
+    if bank is not None and not isinstance(bank, RouteSource):
+        raise ValueError(f"bank is {bank!r}; give a folder, a ScoreBank, a list of these, or None")
+    if costs != "measured":
+        raise ValueError(f"costs is {costs!r}, but simulated routes have their own; leave it out")
+    return SimulatedRoutes() if bank is None else bank

@@ -16,13 +16,14 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
+from amusic_gym.checks import flag, number, whole
 from amusic_gym.dynamics import Outcome
-from amusic_gym.episode import Episodes, Route, columns_for
+from amusic_gym.episode import Episodes, Route
 from amusic_gym.names import suggest
 from amusic_gym.observation import bounds
 from amusic_gym.rewards import Reward, RewardInputs, as_reward
 from amusic_gym.settings import COVERAGE, SICSettings
-from amusic_gym.sources import BankLike, RouteSource, as_source
+from amusic_gym.sources import BankLike, RouteSource, as_source, columns_for
 
 Infos = dict[str, Any]
 
@@ -44,6 +45,14 @@ ROUTE_INFOS = (
 )
 TECHNIQUE_INFOS = ("ran", "place", "statistic", "correction")
 SELECTION_INFOS = ("tally", "selected", "late_runs")
+
+
+class UnknownRenderModeError(ValueError, TypeError):
+    """A render mode that there is not.
+
+    Also a TypeError: Stable-Baselines3's ``make_vec_env`` asks every environment for
+    ``rgb_array`` and goes on without it only after one.
+    """
 
 
 class Task:
@@ -96,28 +105,26 @@ class Task:
         for name in unknown:
             valid = [known for known in inspect.signature(Task).parameters if known != "num_routes"]
             raise ValueError(suggest("environment argument", name, valid[:-1]))
-        if num_routes < 1:
-            raise ValueError(f"num_envs is {num_routes}; give at least 1")
+        num_routes = whole("num_envs", num_routes, 1)
         if render_mode is not None and render_mode not in RENDER_MODES:
-            raise ValueError(suggest("render mode", render_mode, RENDER_MODES))
+            raise UnknownRenderModeError(suggest("render mode", render_mode, RENDER_MODES))
         self.settings = SICSettings(statistic, candidates, history, gamma)
         self.source = as_source(bank, costs=costs, aligned=slots is None)
         self.slots = self._count("slots", slots, least=self.source.slots) or self.source.slots
         self.episode_length = self._count("episode_length", episode_length, least=1)
         block = self._count("reselection", reselection, least=1) or 0
-        if not 0.0 < coverage <= 1.0:
+        if not 0.0 < number("coverage (E)", coverage, "a number in (0, 1]") <= 1.0:
             raise ValueError(f"coverage (E) is {coverage}; give a number in (0, 1]")
-        self.random_start = random_start
+        self.random_start = flag("random_start", random_start)
         self.compute_weights = self._weight_range(compute_weight)
         self.reward = as_reward(reward)
-        self.reward_names: tuple[str, ...] = ()
         self.episodes = Episodes(
             num_routes,
             self.slots,
             self.settings,
             reselection=block,
             coverage=coverage,
-            allow_idle=allow_idle,
+            allow_idle=flag("allow_idle", allow_idle),
         )
         self.block = block
         self.observation_space = spaces.Box(*bounds(self.slots), dtype=np.float32)
@@ -125,24 +132,18 @@ class Task:
 
     @staticmethod
     def _count(name: str, value: int | None, *, least: int) -> int | None:
-        if value is None:
-            return None
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-            raise ValueError(f"{name} is {value!r}; give a whole number >= {least}, or None")
-        return int(value)
+        return None if value is None else whole(name, value, least, ", or None")
 
     @staticmethod
-    def _weight_range(weight: float | tuple[float, float]) -> tuple[float, float]:
-        low, high = weight if isinstance(weight, tuple | list) else (weight, weight)
-        fixed_or_range = low == high or low > 0.0
-        if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low <= high):
-            fixed_or_range = False
-        if not fixed_or_range:
-            raise ValueError(
-                f"compute_weight is {weight!r}; give a number >= 0, or (low, high) with"
-                f" 0 < low <= high"
-            )
-        return float(low), float(high)
+    def _weight_range(weight: Any) -> tuple[float, float]:
+        wanted = "a number >= 0, or (low, high) with 0 < low <= high"
+        ends = list(weight) if isinstance(weight, tuple | list) else [weight, weight]
+        if len(ends) != 2:
+            raise ValueError(f"compute_weight is {weight!r}; give {wanted}")
+        low, high = (number("compute_weight", end, wanted) for end in ends)
+        if not 0.0 <= low <= high or (low == 0.0 < high):
+            raise ValueError(f"compute_weight is {weight!r}; give {wanted}")
+        return low, high
 
     # --- episodes -------------------------------------------------------------------------------
 
@@ -181,7 +182,13 @@ class Task:
         for name, value in (options or {}).items():
             if name not in RESET_OPTIONS:
                 raise ValueError(suggest("reset option", name, RESET_OPTIONS))
-            value = value[i] if np.ndim(value) else value
+            if np.ndim(value):
+                if len(value) <= i:
+                    raise ValueError(
+                        f"reset option {name!r} has {len(value)} entries; give one per route, or"
+                        f" one for all"
+                    )
+                value = value[i]
             try:
                 given[name] = float(value) if name == "compute_weight" else operator.index(value)
             except (TypeError, ValueError):
@@ -216,7 +223,7 @@ class Task:
             Outcome, rewards, terminated, truncated, all with leading N, and the infos.
         """
         out = self.episodes.step(active, actions)
-        terms = self.reward(RewardInputs(out, self.compute_weight(), lambda: self.correct(out)))
+        terms = self._terms(RewardInputs(out, self.compute_weight(), lambda: self.correct(out)))
         rewards = np.where(active, sum(terms.values()), 0.0)
         terminated = active & self.episodes.finished()
         truncated = np.zeros_like(terminated)
@@ -224,6 +231,16 @@ class Task:
             late = self.episodes.frames_seen() >= self.episode_length
             truncated = active & late & ~terminated
         return out, rewards, terminated, truncated, self.infos(out, terms)
+
+    def _terms(self, inputs: RewardInputs) -> dict[str, NDArray[np.float64]]:
+        """Terms of the reward by name, each (N,); a single number holds for all routes."""
+        terms = self.reward(inputs)
+        if not isinstance(terms, Mapping) or not terms:
+            raise ValueError(
+                f"the reward gave {terms!r}; let it return named terms, for example {{'mine': ...}}"
+            )
+        shape = (self.episodes.num_routes,)
+        return {name: np.array(np.broadcast_to(v, shape), np.float64) for name, v in terms.items()}
 
     def compute_weight(self) -> NDArray[np.float64]:
         """(N,) λ of each route."""
@@ -247,7 +264,7 @@ class Task:
         if terms is None:
             zeros = np.zeros(self.episodes.num_routes)
             inputs = RewardInputs(out, self.compute_weight(), lambda: zeros.astype(np.bool_))
-            terms = {name: np.zeros_like(zeros) for name in self.reward(inputs)}
+            terms = {name: np.zeros_like(zeros) for name in self._terms(inputs)}
         slots = self.episodes.state.slots
         infos: Infos = {name: out.routes[name].copy() for name in ROUTE_INFOS}
         infos |= {name: out.slots[name].copy() for name in TECHNIQUE_INFOS}
@@ -255,7 +272,7 @@ class Task:
         infos["present"] = slots["present"].astype(np.bool_)
         infos["run_seconds"] = slots["seconds"].copy()
         infos["compute_weight"] = self.compute_weight()
-        infos["reward_terms"] = {name: np.array(term, np.float64) for name, term in terms.items()}
+        infos["reward_terms"] = dict(terms)
         if self.block:
             infos["selection"] = {
                 "happened": out.routes["happened"].copy(),

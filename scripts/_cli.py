@@ -91,4 +91,6 @@ def _sentence(error: Exception) -> str:
     text = str(error)
     if isinstance(error, OSError) and error.strerror:
         text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+        if isinstance(error, NotADirectoryError | FileExistsError | PermissionError):
+            text += "; give another folder"
     return " ".join(text.split()) or type(error).__name__

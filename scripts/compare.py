@@ -70,7 +70,7 @@ def main() -> None:
     if not args.policy and not args.all_subsets:
         parser.error("no policy; give --policy, --all-subsets or both")
     weights = check_weights(args.compute_weight)
-    banks = [ScoreBank.load(folder) for folder in args.bank]
+    banks = [ScoreBank.load(folder, verify=True) for folder in args.bank]
     if args.costs:
         banks = [bank.with_costs(args.costs) for bank in banks]
     result = compare(

@@ -73,7 +73,7 @@ def assert_ended(info, last, truncated, past) -> None:
 
 @pytest.mark.parametrize("mode", ["NextStep", "Disabled"])
 def test_refuses_another_autoreset_mode(mode):
-    with pytest.raises(ValueError, match=f"'{mode}'.*needs autoreset_mode='SameStep'"):
+    with pytest.raises(ValueError, match=f"'{mode}'.*autoreset_mode='SameStep'"):
         SB3VecEnv(native(autoreset_mode=mode))
 
 

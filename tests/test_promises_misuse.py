@@ -187,7 +187,7 @@ def test_10_close_twice_is_fine(kind, bank):
 
 @pytest.mark.parametrize("number", [0, -1])
 def test_10_zero_envs_are_refused(number, bank):
-    words = f"num_envs is {number}; give at least 1"
+    words = f"num_envs is {number}; give a whole number >= 1"
     with pytest.raises(ValueError, match=words):
         TechniqueSelectionVectorEnv(number, bank)
     with pytest.raises(ValueError, match=words):

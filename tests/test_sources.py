@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from env_cases import assert_same, infos_of, play, random_actions, random_bank
+from stable_baselines3.common.env_util import make_vec_env
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.observation import (
-    TECHNIQUE_FEATURES,
-)
+from amusic_gym.observation import TECHNIQUE_FEATURES, observation_names
 from amusic_gym.sources import Banks, RouteSource, SimulatedRoutes
 
 # ---- several banks -----------------------------------------------------------------------
@@ -38,9 +37,52 @@ def test_banks_are_aligned_by_name(bank):
 @pytest.mark.parametrize("names", [["T0", "T1"], ["T0", "T1", "X"], ["T0", "T1", "T2", "T3"]])
 def test_banks_of_other_techniques_are_refused(bank, names):
     other = random_bank(2, techniques=len(names), names=names, name="odd one")
-    env = TechniqueSelectionEnv([bank, other])
     with pytest.raises(ValueError, match=r"'odd one' has the techniques .*slots=S"):
-        env.reset(options={"bank": 1})
+        TechniqueSelectionEnv([bank, other])
+    with pytest.raises(ValueError, match=r" has the techniques .*slots=S"):
+        TechniqueSelectionEnv([other, bank])  # before any reset, whichever comes first
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"bank": 5}, "bank is 5; give a folder"),
+        ({"costs": "papr"}, "unknown cost model 'papr': did you mean 'paper'"),
+        ({"costs": "paper"}, "simulated routes have their own"),
+        ({"allow_idle": "no"}, "allow_idle is 'no'; give True or False"),
+        ({"random_start": 1}, "random_start is 1; give True or False"),
+        ({"coverage": "a"}, "coverage .* is 'a'; give a number"),
+        ({"gamma": "a"}, "gamma is 'a'; give a number"),
+        ({"compute_weight": (1, 2, 3)}, "compute_weight is .*; give a number"),
+        ({"compute_weight": True}, "compute_weight is True; give a number"),
+        ({"reward": lambda inputs: 1.0}, "the reward gave 1.0; let it return named terms"),
+    ],
+)
+def test_arguments_of_the_wrong_kind_are_refused(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        TechniqueSelectionEnv(**arguments).reset(seed=0)
+
+
+def test_routes_outside_the_pool_are_refused():
+    env = TechniqueSelectionEnv(SimulatedRoutes(pool=3))
+    for number in (3, -1):
+        with pytest.raises(ValueError, match=f"route {number}: there are 3, numbered from 0"):
+            env.reset(options={"bank": number})
+
+
+def test_idling_at_the_end_of_the_map_does_not_continue():
+    bank = random_bank(1, techniques=1, queries=4, references=1)
+    env = TechniqueSelectionEnv(bank, allow_idle=True)
+    env.reset(seed=0)
+    env.step([1])
+    observation, *_, info = env.step([0])
+    assert info["prediction"] == 0  # the only place
+    assert observation[observation_names(bank.techniques).index("route.continues")] == 0.0
+
+
+def test_stable_baselines3_makes_the_environment_by_name():
+    routes = make_vec_env("amusic_gym:amusic_gym/TechniqueSelection-v0", n_envs=2)
+    assert routes.reset().shape[0] == 2
 
 
 def test_slots_take_banks_of_any_size(bank):
