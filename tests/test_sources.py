@@ -71,7 +71,8 @@ def test_routes_outside_the_pool_are_refused():
 
 
 def test_idling_at_the_end_of_the_map_does_not_continue():
-    bank = random_bank(1, techniques=1, queries=4, references=1)
+    scores = np.zeros((1, 4, 1))
+    bank = ScoreBank(scores, ["A"], [1.0], tolerance=0, ground_truth=np.zeros(4, np.int64))
     env = TechniqueSelectionEnv(bank, allow_idle=True)
     env.reset(seed=0)
     env.step([1])
@@ -81,7 +82,8 @@ def test_idling_at_the_end_of_the_map_does_not_continue():
 
 
 def test_stable_baselines3_makes_the_environment_by_name():
-    routes = make_vec_env("amusic_gym:amusic_gym/TechniqueSelection-v0", n_envs=2)
+    with pytest.warns(UserWarning, match="rgb_array"):  # which it asks of every environment
+        routes = make_vec_env("amusic_gym:amusic_gym/TechniqueSelection-v0", n_envs=2)
     assert routes.reset().shape[0] == 2
 
 
