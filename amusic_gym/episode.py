@@ -78,6 +78,7 @@ class Episodes:
         self.slots = slots
         self.settings = settings
         self.routes: list[Route | None] = [None] * num_routes
+        self.indices: NDArray[np.int64] = np.full(num_routes, -1)  # (N,) of the routes' banks
         self.rules = Rules(
             history=settings.history,
             gamma=float(settings.gamma),
@@ -126,6 +127,7 @@ class Episodes:
         """Start ``route`` as number ``i`` of the batch; nothing has run on it yet."""
         self._make_room(route)
         self.routes[i] = route
+        self.indices[i] = route.index
         state, bank = self.state, route.bank
         for array in (state.sums[:, i], state.ran[i], state.prefix[i]):
             array.fill(0)

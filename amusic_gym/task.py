@@ -239,8 +239,13 @@ class Task:
             raise ValueError(
                 f"the reward gave {terms!r}; let it return named terms, for example {{'mine': ...}}"
             )
+        return {name: self._per_route(term) for name, term in terms.items()}
+
+    def _per_route(self, term: ArrayLike) -> NDArray[np.float64]:
+        """A term as an array (N,) of its own."""
+        values = np.array(term, np.float64)
         shape = (self.episodes.num_routes,)
-        return {name: np.array(np.broadcast_to(v, shape), np.float64) for name, v in terms.items()}
+        return values if values.shape == shape else np.array(np.broadcast_to(values, shape))
 
     def compute_weight(self) -> NDArray[np.float64]:
         """(N,) λ of each route."""
@@ -268,7 +273,7 @@ class Task:
         slots = self.episodes.state.slots
         infos: Infos = {name: out.routes[name].copy() for name in ROUTE_INFOS}
         infos |= {name: out.slots[name].copy() for name in TECHNIQUE_INFOS}
-        infos["route"] = np.array([-1 if r is None else r.index for r in self.episodes.routes])
+        infos["route"] = self.episodes.indices.copy()
         infos["present"] = slots["present"].astype(np.bool_)
         infos["run_seconds"] = slots["seconds"].copy()
         infos["compute_weight"] = self.compute_weight()

@@ -19,6 +19,7 @@ from env_cases import (
     random_bank,
 )
 from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from amusic_gym import env as env_module
 from amusic_gym.bank import ScoreBank
@@ -49,8 +50,7 @@ def test_gymnasium_accepts_it(name, arguments):
 @pytest.mark.parametrize("arguments", ARGUMENTS)
 @pytest.mark.parametrize("name", REGISTERED)
 def test_stable_baselines_accepts_it(name, arguments):
-    checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    checker.check_env(gym.make(f"amusic_gym:{name}", **arguments).unwrapped)
+    check_env_sb3(gym.make(f"amusic_gym:{name}", **arguments).unwrapped)
 
 
 def test_docstring_example_works():

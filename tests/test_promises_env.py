@@ -28,6 +28,7 @@ from env_cases import (
 )
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.env import TechniqueSelectionEnv
@@ -187,10 +188,9 @@ def test_04_ten_thousand_random_steps_stay_inside_the_space(name, arguments):
 
 @pytest.mark.parametrize("name", REGISTERED)
 def test_04_checkers_pass_without_a_warning(name):
-    checker = pytest.importorskip("stable_baselines3.common.env_checker")
     env = gym.make(f"amusic_gym:{name}").unwrapped
     check_env(env)
-    checker.check_env(env)
+    check_env_sb3(env)
 
 
 # ---- 5 -----------------------------------------------------------------------------------
