@@ -42,8 +42,8 @@ def test_story_compares_at_no_more_compute(scripts):
     assert story.best_within(ROWS, "s", 0.4)["policy"] == "subset:A+B"
     assert story.best_within(ROWS, "s", 0.05) is None
     said = " ".join(story.held_out(ROWS, 4))
-    assert "selector reaches AUC 0.880 at 35%" in said
-    assert "A-MuSIC reaches 0.800 at 40%" in said
+    assert "reaches AUC 0.880 at 35%" in said
+    assert "A-MuSIC itself 0.800 at 40%" in said
     assert "(subset:A+B) 0.700" in said
     assert "0.850" not in said  # dearer than A-MuSIC
     assert "best is 0.910, at 70%" in said
@@ -78,7 +78,7 @@ def test_demo_from_routes_to_page(scripts, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(sys, "argv", ["demo.py", *arguments])
     demo.main()
     out = capsys.readouterr().out
-    assert "simulated routes that it never saw" in out or "Running every technique" in out
+    assert "simulated routes that no training saw" in out or "Running every technique" in out
     rows = json.loads((tmp_path / "out" / "results.json").read_text())["rows"]
     assert {r["bank"] for r in rows} == {"held-out-1", "held-out-2", "planted", "simulated-5"}
     assert {"amusic", "music", "cascade", "single:A", "random:0.3"} <= {r["policy"] for r in rows}
