@@ -134,7 +134,7 @@ def from_vprbench(
     _check_same_shape(names, [scores for scores, _ in matches])
     queries, references = matches[0][0].shape
     if isinstance(ground_truth, str | os.PathLike):
-        ground_truth = _read_ground_truth(Path(ground_truth), trust, queries, references)
+        ground_truth = read_ground_truth(Path(ground_truth), trust, queries, references)
     return ScoreBank(
         np.stack([scores for scores, _ in matches]),
         names,
@@ -225,9 +225,21 @@ def _read_matches(path: Path, trust: bool) -> tuple[NDArray[np.float32], float]:
     return scores[_order_of(ids, len(scores), path)], encode + scores.shape[1] * match
 
 
-def _read_ground_truth(
+def read_ground_truth(
     path: Path, trust: bool, queries: int, references: int
 ) -> NDArray[Any] | GroundTruth:
+    """Ground truth from a plain .npy file, or from VPR-Bench's (query id, list of true places).
+
+    Args:
+        path: the file.
+        trust: True to unpickle it, which VPR-Bench's needs.
+        queries: Q, as many different query ids as the file must hold.
+        references: R, places on the map.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: for VPR-Bench's file without ``trust``, or a file of another layout.
+    """
     with storage.open_file(path) as file:
         pickled = storage.read_npy_header(file, path).dtype.hasobject
     if not pickled:

@@ -1,1 +1,1 @@
-"""Where routes come from: so far `amusic_gym.routes.simulate`, at the level of scores."""
+"""Where routes come from: simulated scores, rendered worlds, image folders, data sets, video."""
