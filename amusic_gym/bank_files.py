@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
@@ -55,7 +56,7 @@ class BankFiles:
 def write(
     path: Path,
     *,
-    scores: Sequence[NDArray[np.float32]],
+    scores: Iterable[NDArray[np.float32]],
     truth: GroundTruth,
     techniques: Sequence[tuple[str, float]],
     tolerance: int,
@@ -67,7 +68,8 @@ def write(
 
     Args:
         path: the folder to make, or the bank to replace.
-        scores: T matrices (Q, R), written one after the other, so that none is copied.
+        scores: (rows, R) matrices that together are the T · Q rows, technique after technique;
+            each is written as it comes, so that memory need not hold them all.
         truth: Q queries, R references.
         techniques: T pairs of name and seconds.
         tolerance: places.
@@ -77,10 +79,14 @@ def write(
 
     Returns:
         The folder's absolute path.
+
+    Raises:
+        ValueError: when ``path`` is something other than a bank, or rows are missing.
+        OSError: when writing fails; what was at ``path`` is still there then.
     """
     path = Path(os.path.realpath(path))
     with storage.replacing_folder(path, MANIFEST, FILES) as folder:
-        _write_scores(folder / SCORES, scores)
+        _write_scores(folder / SCORES, scores, (len(techniques), truth.queries, truth.references))
         np.savez(
             folder / TRUTH,
             indptr=truth.indptr,
@@ -102,6 +108,18 @@ def write(
         text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
         (folder / MANIFEST).write_text(text, encoding="utf-8")
     return path
+
+
+def check_destination(path: Path) -> None:
+    """Refuse a path that :func:`write` would refuse, before long work is begun for it.
+
+    Raises:
+        ValueError: when it is something other than a bank, which must not be replaced.
+        OSError: when its folder cannot be made.
+    """
+    path = Path(os.path.realpath(path))
+    storage.refuse_to_replace_others(path, MANIFEST, FILES)
+    path.parent.mkdir(parents=True, exist_ok=True)
 
 
 def read(path: Path, *, verify: bool) -> BankFiles:
@@ -188,16 +206,22 @@ def _size_and_checksum(path: Path) -> dict[str, Any]:
         return {"bytes": path.stat().st_size, "sha256": storage.sha256(file)}
 
 
-def _write_scores(path: Path, scores: Sequence[NDArray[np.float32]]) -> None:
+def _write_scores(
+    path: Path, scores: Iterable[NDArray[np.float32]], shape: tuple[int, int, int]
+) -> None:
     header = {
         "descr": np.lib.format.dtype_to_descr(np.dtype("<f4")),
         "fortran_order": False,
-        "shape": (len(scores), *scores[0].shape),
+        "shape": shape,
     }
     with path.open("wb") as file:
         np.lib.format.write_array_header_1_0(file, header)
+        begin = file.tell()
         for matrix in scores:
             file.write(np.ascontiguousarray(matrix, "<f4").data.cast("B"))
+        written = file.tell() - begin
+    if written != 4 * math.prod(shape):
+        raise ValueError(f"{written} bytes of scores where shape {shape} needs others; give all")
 
 
 def _map_scores(

@@ -178,7 +178,7 @@ def replacing_folder(path: Path, marker: str, contents: frozenset[str]) -> Itera
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with _locked(path.parent):  # one writer at a time looks, sweeps and renames
-            _refuse_to_replace_others(path, marker, contents)
+            refuse_to_replace_others(path, marker, contents)
             _sweep(path)
             folder = path.parent / f"{_PREFIX}{secrets.token_hex(8)}.tmp"
             folder.mkdir()
@@ -189,7 +189,7 @@ def replacing_folder(path: Path, marker: str, contents: frozenset[str]) -> Itera
             for file in (*folder.iterdir(), folder):
                 _fsync(file)
             with _locked(path.parent):
-                _refuse_to_replace_others(path, marker, contents)
+                refuse_to_replace_others(path, marker, contents)
                 _move_into_place(folder, path)
             with contextlib.suppress(OSError):  # the new folder stands; not all systems sync names
                 _fsync(path.parent)
@@ -211,7 +211,12 @@ def restore_folder(path: Path) -> None:
                 os.rename(aside, path)
 
 
-def _refuse_to_replace_others(path: Path, marker: str, contents: frozenset[str]) -> None:
+def refuse_to_replace_others(path: Path, marker: str, contents: frozenset[str]) -> None:
+    """Refuse what :func:`replacing_folder` would refuse: anything but its own kind of folder.
+
+    Raises:
+        ValueError: when ``path`` is something that must not be replaced.
+    """
     if not path.exists():
         return
     if not path.is_dir():

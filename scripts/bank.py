@@ -1,10 +1,11 @@
-"""Make and inspect score banks: arrays | vprbench | simulate | info."""
+"""Make and inspect score banks: arrays | vprbench | images | simulate | info; render images."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
+from _bank_images import add_images, add_render, number
 from _cli import Parser, pairs, run
 
 from amusic_gym.bank import ScoreBank
@@ -15,7 +16,10 @@ def arrays(args: argparse.Namespace) -> None:
     """One .npy matrix per technique -> a bank."""
     bank = from_arrays(
         pairs(args.scores, "--scores"),
-        {name: _seconds(name, text) for name, text in pairs(args.seconds, "--seconds").items()},
+        {
+            name: number(f"--seconds {name}", text)
+            for name, text in pairs(args.seconds, "--seconds").items()
+        },
         tolerance=args.tolerance,
         ground_truth=args.ground_truth,
         name=args.name or args.out.name,
@@ -63,13 +67,6 @@ def info(args: argparse.Namespace) -> None:
         best = [int(bank.row(technique, query).argmax()) for query in range(bank.queries)]
         accuracy = bank.truth.correct(best).mean()
         print(f"{name:<20} {bank.seconds[technique]:>12.6f} {accuracy:>12.4f}")
-
-
-def _seconds(name: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ValueError(f"--seconds {name}={text}: {text!r} is not a number") from None
 
 
 def _save(bank: ScoreBank, out: Path) -> None:
@@ -138,6 +135,9 @@ def _parser() -> Parser:
 
     for each in (one, two, three):
         each.add_argument("--out", type=Path, required=True, metavar="BANK", help="the folder")
+
+    add_images(commands)
+    add_render(commands)
 
     four = commands.add_parser("info", help="check a bank and print what is in it")
     four.set_defaults(run=info)

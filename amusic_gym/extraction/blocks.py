@@ -1,0 +1,154 @@
+"""Blocks of images: the unit in which a map is described, stored and matched.
+
+A score may differ in its last bits with the number of references that it is computed together
+with, with the number of threads and with where in memory its operands lie. So both the making of
+a score bank and live navigation go through :func:`describe_one` and :func:`match_one`: one query
+against one block, on one thread, from aligned memory.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.techniques.protocol import Descriptor, Image, Technique
+from amusic_gym.threads import alone
+
+BLOCK = 64
+"""References (and queries) per block."""
+
+_ALIGNMENT = 64  # bytes: a cache line, and the widest registers
+
+
+@dataclass(frozen=True)
+class Images:
+    """The images of a traverse as shards need them.
+
+    Attributes:
+        paths: N files, in the order of the traverse.
+        digests: N digests of their contents.
+    """
+
+    paths: tuple[Path, ...]
+    digests: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def blocks(self) -> list[Images]:
+        """The traverse in pieces of ``BLOCK`` images; the last may be shorter."""
+        return [
+            Images(self.paths[first : first + BLOCK], self.digests[first : first + BLOCK])
+            for first in range(0, len(self), BLOCK)
+        ]
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A float32 array in a file; it pickles as its address.
+
+    Attributes:
+        path: the file.
+        offset: bytes before the first number, a multiple of 64.
+        shape: of the array.
+    """
+
+    path: Path
+    offset: int
+    shape: tuple[int, ...]
+
+    def array(self) -> NDArray[np.float32]:
+        """The array, read-only; memory-mapped, so that only what is used is read."""
+        try:
+            mapped = np.memmap(self.path, np.float32, "r", self.offset, self.shape)
+        except FileNotFoundError:
+            raise FileNotFoundError(
+                f"{self.path} was removed while it was in use; run the command again"
+            ) from None
+        return mapped.view(np.ndarray)
+
+
+def aligned(array: NDArray[np.float32]) -> NDArray[np.float32]:
+    """``array`` in C order, beginning at a multiple of 64 bytes; a copy only where it is not."""
+    if array.flags.c_contiguous and array.ctypes.data % _ALIGNMENT == 0:
+        return array
+    memory = np.empty(array.nbytes + _ALIGNMENT, np.uint8)
+    first = -memory.ctypes.data % _ALIGNMENT
+    copy = memory[first : first + array.nbytes].view(np.float32).reshape(array.shape)
+    copy[...] = array
+    return copy
+
+
+def describe_one(technique: Technique, image: Image, *, query: bool) -> Descriptor:
+    """Descriptor of one image, on one thread, checked.
+
+    Args:
+        technique: the technique.
+        image: (H, W, 3) uint8.
+        query: whether as a query or as a place of the map.
+
+    Raises:
+        ValueError: when the technique gives something else than finite real numbers.
+    """
+    describe = technique.describe_query if query else technique.describe
+    return _floats(technique, alone(describe, image), "a descriptor")
+
+
+def match_one(technique: Technique, query: Descriptor, block: Descriptor) -> NDArray[np.float32]:
+    """Scores of one query against one block of the map, on one thread, checked.
+
+    Args:
+        technique: the technique.
+        query: what :func:`describe_one` gave for the query.
+        block: (B, ...) descriptors of up to ``BLOCK`` references; see :func:`aligned`.
+
+    Returns:
+        (B,) float32.
+
+    Raises:
+        ValueError: when the technique gives something else than B finite real numbers.
+    """
+    given = alone(technique.match, aligned(query), block)
+    scores = _floats(technique, given, "scores")
+    if scores.shape != (len(block),):
+        raise ValueError(
+            f"technique {technique.name!r} gives scores of shape {scores.shape} for "
+            f"{len(block)} references; match must give one number for each"
+        )
+    return scores
+
+
+def check_shape(
+    technique: Technique,
+    shape: tuple[int, ...],
+    expected: tuple[int, ...],
+    path: os.PathLike[str],
+) -> None:
+    """Refuse a descriptor of another shape than the others of its side have.
+
+    Raises:
+        ValueError: naming the technique and the image.
+    """
+    if shape != expected:
+        raise ValueError(
+            f"technique {technique.name!r} describes {path} by shape {shape} and other images of "
+            f"that traverse by {expected}; all must have one shape"
+        )
+
+
+def _floats(technique: Technique, values: object, what: str) -> NDArray[np.float32]:
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiub" or array.size == 0:
+        raise ValueError(
+            f"technique {technique.name!r} gives {what} of dtype {array.dtype} and shape "
+            f"{array.shape}; float32 numbers are expected"
+        )
+    with np.errstate(over="ignore"):  # too large for float32 becomes infinite: refused next
+        array = np.ascontiguousarray(array, np.float32)
+    if not np.isfinite(array).all():
+        raise ValueError(f"technique {technique.name!r} gives {what} with NaN or infinity")
+    return array

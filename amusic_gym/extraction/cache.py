@@ -1,0 +1,231 @@
+"""The cache: what was computed once, kept under a digest of all that it depends on.
+
+An entry is 64 hexadecimal digits of SHA-256 and then a ``.npy`` file. The digest is of the entry's
+key and of the ``.npy`` file, so an entry that is cut off, changed or under a wrong name is noticed.
+It is compared the first time that a run uses the entry.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import os
+import secrets
+import tempfile
+import warnings
+from collections.abc import Iterator
+from io import BufferedRandom, BufferedReader
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym import storage
+from amusic_gym.extraction.blocks import Stored
+
+_DIGEST = 64  # bytes at the start; keeps the numbers aligned too
+_INCOMING = "incoming"
+_READ_ONLY = (errno.EACCES, errno.EPERM, errno.EROFS)
+_ATTEMPTS = 3
+
+
+def default_cache() -> Path:
+    """``$XDG_CACHE_HOME/amusic-gym``, or ``~/.cache/amusic-gym``."""
+    given = os.environ.get("XDG_CACHE_HOME", "")
+    base = Path(given) if os.path.isabs(given) else Path.home() / ".cache"
+    return base / "amusic-gym"
+
+
+class Cache:
+    """A folder of entries, shared by any number of processes.
+
+    Entries appear whole or not at all. What writers that were killed left behind is swept when
+    the folder is opened. Where nothing can be written, one warning says so, what is there is
+    still read, and new entries go to a temporary folder, which :meth:`close` removes.
+
+    The folder grows with every new route and setting. Any part of it may be deleted at any time.
+
+    Args:
+        folder: where; None: :func:`default_cache`.
+
+    Raises:
+        ValueError: for a path that is a file.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str] | None = None) -> None:
+        self.folder = Path(os.path.abspath(folder or default_cache()))
+        if self.folder.exists() and not self.folder.is_dir():
+            raise ValueError(f"the cache {self.folder} is a file; give a folder")
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        self._checked: set[Path] = set()
+        try:
+            self._prepare(self.folder)
+        except OSError as error:
+            self._go_elsewhere(error)
+
+    @property
+    def is_temporary(self) -> bool:
+        """Whether new entries go to a temporary folder."""
+        return self._temporary is not None
+
+    # ---- entries -------------------------------------------------------------------------
+
+    def get(self, key: str) -> Stored | None:
+        """The entry ``key``; None where there is none, or only a damaged one, with a warning."""
+        for folder in self._folders:
+            path = _path(folder, key)
+            try:
+                with path.open("rb") as file:
+                    return self._examine(file, path, key)
+            except (FileNotFoundError, NotADirectoryError, PermissionError):
+                continue
+            except (OSError, ValueError) as error:
+                warnings.warn(
+                    f"the cache's {path} is damaged ({error}); it is computed again", stacklevel=2
+                )
+        return None
+
+    def put(self, key: str, array: NDArray[np.float32]) -> Stored:
+        """Keep ``array`` under ``key`` and return where it is.
+
+        Raises:
+            OSError: when it cannot be written; an entry that was there is still there.
+        """
+        folder = self._folders[0]
+        path = _path(folder, key)
+        for attempt in range(_ATTEMPTS):
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                with _incoming(folder) as (file, temporary):
+                    _write(file, key, array)
+                    os.replace(temporary, path)
+                break
+            except FileNotFoundError:  # swept as it was opened, or the cache is being deleted
+                if attempt == _ATTEMPTS - 1:
+                    raise
+            except OSError as error:
+                raise OSError(
+                    error.errno,
+                    f"writing the cache {folder} failed ({error.strerror or error}), nothing is "
+                    "lost; free some space or choose another folder for the cache",
+                ) from error
+        with path.open("rb") as file:
+            stored = _address(file, path)
+        self._checked.add(path)
+        return stored
+
+    @property
+    def _folders(self) -> list[Path]:
+        """Where to write, and where else to look."""
+        return [self.folder] if self._temporary is None else [self._temporary_folder, self.folder]
+
+    @property
+    def _temporary_folder(self) -> Path:
+        assert self._temporary is not None
+        return Path(self._temporary.name)
+
+    def _examine(self, file: BufferedReader, path: Path, key: str) -> Stored:
+        if path not in self._checked:
+            expected = file.read(_DIGEST)
+            if not expected:
+                raise ValueError("it is empty")
+            if _digest(file, key) != expected:
+                raise ValueError("its checksum differs")
+            self._checked.add(path)
+        return _address(file, path)
+
+    # ---- the folder ----------------------------------------------------------------------
+
+    def _prepare(self, folder: Path) -> None:
+        (folder / _INCOMING).mkdir(parents=True, exist_ok=True)
+        _sweep(folder / _INCOMING)
+        with _incoming(folder):  # fails where nothing can be written
+            pass
+
+    def _go_elsewhere(self, error: OSError) -> None:
+        if error.errno not in _READ_ONLY:
+            raise OSError(
+                error.errno,
+                f"the cache {self.folder} cannot be used ({error.strerror or error}); "
+                "choose another folder",
+            ) from error
+        warnings.warn(
+            f"the cache {self.folder} cannot be written ({error.strerror}); what is computed now "
+            "is not kept for the next time: choose another folder for the cache",
+            stacklevel=3,
+        )
+        self._temporary = tempfile.TemporaryDirectory(prefix="amusic-gym-")
+        self._prepare(self._temporary_folder)
+
+    def close(self) -> None:
+        """Remove the temporary folder, where there is one."""
+        if self._temporary is not None:
+            self._temporary.cleanup()
+
+    def __enter__(self) -> Cache:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _path(folder: Path, key: str) -> Path:
+    return folder / key[:2] / f"{key}.entry"
+
+
+def _address(file: BufferedReader, path: Path) -> Stored:
+    file.seek(_DIGEST)
+    header = storage.read_npy_header(file, path)
+    if header.dtype != np.float32 or header.fortran_order:
+        raise ValueError(f"it holds {header.dtype}")
+    return Stored(path, header.offset, header.shape)
+
+
+def _digest(file: BufferedReader | BufferedRandom, key: str) -> bytes:
+    """Digest of the key and all of the file from where it stands."""
+    digest = hashlib.sha256(key.encode())
+    while piece := file.read(1 << 20):
+        digest.update(piece)
+    return digest.hexdigest().encode()
+
+
+def _write(file: BufferedRandom, key: str, array: NDArray[np.float32]) -> None:
+    file.write(bytes(_DIGEST))
+    np.lib.format.write_array(file, np.ascontiguousarray(array, "<f4"), allow_pickle=False)
+    file.seek(_DIGEST)
+    digest = _digest(file, key)
+    file.seek(0)
+    file.write(digest)
+    file.flush()
+
+
+@contextlib.contextmanager
+def _incoming(folder: Path) -> Iterator[tuple[BufferedRandom, Path]]:
+    """A new file, locked while it is written, so that nobody sweeps it; removed unless renamed."""
+    import fcntl  # POSIX only: here, so that importing works elsewhere
+
+    path = folder / _INCOMING / f"{secrets.token_hex(8)}.tmp"
+    with path.open("x+b") as file:
+        try:
+            with contextlib.suppress(OSError):  # a file system without locks: nothing is swept
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield file, path
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def _sweep(folder: Path) -> None:
+    """Remove the files of writers that are no more."""
+    import fcntl
+
+    for path in folder.glob("*.tmp"):
+        with contextlib.suppress(OSError), path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.unlink()

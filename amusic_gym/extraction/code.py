@@ -1,0 +1,159 @@
+"""What a technique's results depend on: its class, its parameters, its code, its libraries."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.metadata
+import inspect
+import json
+import marshal
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+
+from amusic_gym.techniques.protocol import Technique
+
+_PACKAGE = "amusic_gym"
+_ALWAYS = ("amusic_gym.routes.images", "amusic_gym.extraction.blocks")
+"""Code that every descriptor and every score goes through."""
+
+# Distributions whose names are not those of the modules they bring, in the order to look for them.
+_DISTRIBUTIONS = {
+    "cv2": (
+        "opencv-python-headless",
+        "opencv-python",
+        "opencv-contrib-python-headless",
+        "opencv-contrib-python",
+    ),
+    "PIL": ("pillow",),
+    "skimage": ("scikit-image",),
+    "sklearn": ("scikit-learn",),
+}
+
+
+def identity(technique: Technique) -> dict[str, Any]:
+    """All that descriptors and scores depend on besides the images, for the keys of the cache.
+
+    The code is that of the files which define the class and its bases, and of the modules of the
+    same package that they import, by their text. The libraries are those which that code imports.
+    What a class of your own takes from elsewhere, ``parameters()`` must name.
+
+    Raises:
+        ValueError: for parameters that are not plain values.
+    """
+    kind: Any = type(technique)
+    sources, libraries = _code_of(kind)
+    return {
+        "class": f"{kind.__module__}.{kind.__qualname__}",
+        "name": technique.name,
+        "parameters": _plain(technique),
+        "code": sources,
+        "libraries": {library: _version(library) for library in libraries},
+    }
+
+
+def describes_queries_alike(technique: Technique) -> bool:
+    """Whether a query's descriptor is that of the same image on the map."""
+    return type(technique).describe_query is Technique.describe_query
+
+
+def _plain(technique: Technique) -> dict[str, Any]:
+    plain = {}
+    for name, value in technique.parameters().items():
+        value = value.item() if isinstance(value, np.generic) else value
+        if not isinstance(value, str | int | float):  # bool is an int
+            raise ValueError(
+                f"parameter {name!r} of technique {technique.name!r} is {value!r}; "
+                "parameters() must give texts, numbers, True or False"
+            )
+        plain[str(name)] = value
+    return plain
+
+
+@cache
+def _code_of(kind: type) -> tuple[str, tuple[str, ...]]:
+    """Digest of a class's code, and the libraries that it imports."""
+    digest = hashlib.sha256()
+    libraries = {"numpy"}
+    pending = list(_ALWAYS)
+    for base in inspect.getmro(kind):
+        if base is not object:
+            pending.append(base.__module__)
+            if _file_of(base.__module__) is None:  # typed in, as in a notebook
+                digest.update(_text_of(base))
+    seen: set[str] = set()
+    for module in pending:  # grows while it is walked
+        if module in seen or module == _PACKAGE:  # the latter only makes things known
+            continue
+        seen.add(module)
+        file = _file_of(module)
+        if file is None:
+            continue
+        text = file.read_bytes()
+        digest.update(hashlib.sha256(text).digest())
+        home = module.partition(".")[0]
+        for name in _imports(text, module):
+            top = name.partition(".")[0]
+            if top in (home, _PACKAGE):
+                pending.append(name)
+            elif top not in sys.stdlib_module_names:
+                libraries.add(top)
+    return digest.hexdigest(), tuple(sorted(libraries))
+
+
+def _imports(text: bytes, module: str) -> Iterator[str]:
+    """Dotted names that a source file imports anywhere, with those that may be modules."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            start = node.module or ""
+            if node.level:
+                parents = module.split(".")[: -node.level]
+                start = ".".join([*parents, *filter(None, [node.module])])
+            yield start
+            yield from (f"{start}.{alias.name}" for alias in node.names)
+
+
+@cache
+def _file_of(module: str) -> Path | None:
+    """Source file of a module; None where there is none, or the name is no module."""
+    file = getattr(sys.modules.get(module), "__file__", None)
+    if file is not None:
+        return Path(file) if file.endswith(".py") and Path(file).is_file() else None
+    top, *rest = module.split(".")  # not imported yet: found without running anything
+    for folder in getattr(sys.modules.get(top), "__path__", ()):
+        at = Path(folder, *rest)
+        for path in (at.with_suffix(".py"), at / "__init__.py"):
+            if path.is_file():
+                return path
+    return None
+
+
+def _text_of(kind: type) -> bytes:
+    try:
+        return inspect.getsource(kind).encode()
+    except (OSError, TypeError):  # typed at the prompt: its compiled functions
+        functions = [value for value in vars(kind).values() if isinstance(value, FunctionType)]
+        return b"".join(marshal.dumps(function.__code__) for function in functions)
+
+
+@cache
+def _version(library: str) -> str:
+    for distribution in _DISTRIBUTIONS.get(library, (library,)):
+        try:
+            return importlib.metadata.version(distribution)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return str(getattr(sys.modules.get(library), "__version__", "unknown"))
+
+
+def key_of(**parts: Any) -> str:
+    """64 hexadecimal digits that stand for ``parts``, which must be plain data."""
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,191 @@
+"""What is to be computed for one technique, what of it the cache has, and the rest."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.extraction.blocks import Images, Stored, check_shape
+from amusic_gym.extraction.cache import Cache
+from amusic_gym.extraction.code import describes_queries_alike, identity, key_of
+from amusic_gym.extraction.executors import S, Workers
+from amusic_gym.extraction.progress import Progress
+from amusic_gym.extraction.shards import DescribeShard, MatchShard
+from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.routes.image_headers import measure
+from amusic_gym.routes.images import decode_image, digest_of, read_bytes
+from amusic_gym.techniques.protocol import Technique
+
+FORMAT = 1
+"""Of the cache's entries: raised when the same key would have to mean something else."""
+
+
+def images_of(folder: ImageFolder) -> Images:
+    """Paths and digests of a folder's images; reads every file once and looks at its header.
+
+    Raises:
+        FileNotFoundError: for an image that is not there any more.
+        ValueError: for one that is empty, truncated or no image, before any work begins.
+    """
+    paths = tuple(Path(os.path.abspath(path)) for path in folder.paths)
+    return Images(paths, tuple(_digest(path) for path in paths))
+
+
+def _digest(path: Path) -> str:
+    data = read_bytes(path)
+    try:
+        measure(data)
+    except ValueError:
+        decode_image(data, path)  # refuses it with its path
+    return digest_of(data)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The shards of one technique on one route, and their keys.
+
+    Attributes:
+        technique: the technique.
+        references: the map, in blocks.
+        queries: the queries, in blocks.
+        identity: all that results depend on besides the images.
+    """
+
+    technique: Technique
+    references: Sequence[Images]
+    queries: Sequence[Images]
+    identity: dict[str, Any]
+
+    @classmethod
+    def of(cls, technique: Technique, references: Images, queries: Images) -> Plan:
+        """The plan for whole traverses.
+
+        Raises:
+            ValueError: when the technique's parameters are not plain values.
+        """
+        return cls(technique, references.blocks(), queries.blocks(), identity(technique))
+
+    def descriptor_key(self, images: Images, *, query: bool) -> str:
+        """Key of a block's descriptors; that of a query is a map's where they are the same."""
+        side = "query" if query and not describes_queries_alike(self.technique) else "map"
+        return self.key("descriptors", side=side, images=images.digests)
+
+    def score_key(self, queries: Images, references: Images) -> str:
+        """Key of a block of scores."""
+        return self.key("scores", queries=queries.digests, references=references.digests)
+
+    def key(self, kind: str, **parts: Any) -> str:
+        """Key of any other entry that belongs to this technique."""
+        return key_of(format=FORMAT, kind=kind, technique=self.identity, **parts)
+
+
+def describe(
+    plan: Plan,
+    cache: Cache,
+    workers: Workers,
+    progress: Progress,
+    *,
+    query: bool,
+    only: Collection[int] | None = None,
+) -> list[Stored]:
+    """Descriptors of one side's blocks, from the cache or computed.
+
+    Args:
+        plan: of the technique.
+        cache: where they are, and where new ones go as they are finished.
+        workers: for those that the cache lacks.
+        progress: gets a bar.
+        query: which side.
+        only: indices of the blocks that are wanted; None: all.
+
+    Returns:
+        The wanted blocks, in rising order.
+
+    Raises:
+        ValueError: for an image that cannot be read or described; for descriptors of different
+            shapes.
+    """
+    blocks = plan.queries if query else plan.references
+    wanted = [blocks[at] for at in (range(len(blocks)) if only is None else sorted(only))]
+    keys = [plan.descriptor_key(images, query=query) for images in wanted]
+    found = {key: cache.get(key) for key in keys}
+    missing = {
+        key: DescribeShard(key, images, query)
+        for key, images in zip(keys, wanted, strict=True)
+        if found[key] is None
+    }
+    title = f"{plan.technique.name}: {'queries' if query else 'map'}"
+    total = sum(shard.size for shard in missing.values())
+    with progress.bar(title, total, "images") as advance:
+        found.update(_compute(missing.values(), cache, workers, advance))
+    stored = [_there(found[key]) for key in keys]
+    for images, each in zip(wanted, stored, strict=True):
+        check_shape(plan.technique, each.shape[1:], stored[0].shape[1:], images.paths[0])
+    return stored
+
+
+def match(plan: Plan, cache: Cache, workers: Workers, progress: Progress) -> int:
+    """Put the scores of all blocks into the cache; describe what that needs.
+
+    Returns:
+        How many pairs of a query and a reference had to be matched.
+
+    Raises:
+        ValueError: as :func:`describe`; for scores that are not finite numbers.
+    """
+    missing = {
+        (q, r): key
+        for q, queries in enumerate(plan.queries)
+        for r, references in enumerate(plan.references)
+        if cache.get(key := plan.score_key(queries, references)) is None
+    }
+    sides = [sorted({pair[side] for pair in missing}) for side in (0, 1)]
+    references, queries = (
+        dict(zip(sides[side], stored, strict=True))
+        for side, stored in (
+            (1, describe(plan, cache, workers, progress, query=False, only=sides[1])),
+            (0, describe(plan, cache, workers, progress, query=True, only=sides[0])),
+        )
+    )
+    shards = (MatchShard(key, queries[q], references[r]) for (q, r), key in missing.items())
+    total = sum(queries[q].shape[0] * references[r].shape[0] for q, r in missing)
+    with progress.bar(f"{plan.technique.name}: matching", total, "pairs") as advance:
+        for _ in _compute(shards, cache, workers, advance):
+            pass
+    return total
+
+
+def score_rows(plan: Plan, cache: Cache) -> Iterator[NDArray[np.float32]]:
+    """All scores, which :func:`match` has put into the cache, as blocks of rows (B, R)."""
+    for queries in plan.queries:
+        yield np.hstack(
+            [
+                _there(cache.get(plan.score_key(queries, references))).array()
+                for references in plan.references
+            ]
+        )
+
+
+def _compute(
+    shards: Collection[S] | Iterator[S],
+    cache: Cache,
+    workers: Workers,
+    advance: Callable[[int], object],
+) -> Iterator[tuple[str, Stored]]:
+    for shard, result in workers.run(shards):
+        yield shard.key, cache.put(shard.key, result)
+        advance(shard.size)
+
+
+def _there(stored: Stored | None) -> Stored:
+    if stored is None:
+        raise FileNotFoundError(
+            "an entry of the cache was removed while it was in use; run the command again"
+        )
+    return stored

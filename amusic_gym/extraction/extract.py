@@ -1,0 +1,175 @@
+"""Two image folders and some techniques to a score bank."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amusic_gym import bank_files
+from amusic_gym.bank import ScoreBank, check_names, check_seconds
+from amusic_gym.extraction.cache import Cache
+from amusic_gym.extraction.describe import Plan, images_of, match, score_rows
+from amusic_gym.extraction.executors import Executor, make_executor
+from amusic_gym.extraction.progress import Progress
+from amusic_gym.extraction.seconds import seconds_of
+from amusic_gym.ground_truth import GroundTruth, resolve_ground_truth
+from amusic_gym.names import suggest
+from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.routes.image_truth import by_index
+from amusic_gym.techniques import Technique, make_technique
+
+_Folder = ImageFolder | str | os.PathLike[str]
+
+
+def extract(
+    reference: _Folder,
+    query: _Folder,
+    techniques: Sequence[Technique | str],
+    *,
+    tolerance: int | None = None,
+    ground_truth: ArrayLike | GroundTruth | None = None,
+    seconds: Mapping[str, float] | None = None,
+    measure_again: bool = False,
+    cache: str | os.PathLike[str] | Cache | None = None,
+    executor: str = "serial",
+    out: str | os.PathLike[str] | None = None,
+    name: str = "",
+    source: str = "",
+    progress: bool = False,
+) -> ScoreBank:
+    """Run techniques on two traverses and keep the scores as a bank.
+
+    Every piece that is finished goes to the cache, so a run that was stopped goes on where it
+    was, and the same call again only reads. With given ``seconds`` the bank is the same, byte for
+    byte, whatever the executor.
+
+    Args:
+        reference: the map, R images: an `ImageFolder` or a path.
+        query: the run, Q images.
+        techniques: objects, or names as `amusic_gym.techniques.make_technique` takes them.
+        tolerance: places to either side of the true one that count as right; see `ScoreBank`.
+        ground_truth: see `ScoreBank`, and `amusic_gym.routes.image_truth` for more ways; None:
+            query q is at place q, in joined folders part by part.
+        seconds: technique name → seconds of one run, for those that are not to be measured here.
+        measure_again: measure the seconds even if the cache remembers them of this machine.
+        cache: the cache's folder, or an open cache; None: the default one.
+        executor: ``serial``, ``process:N``, ``ray`` or ``ray:ADDRESS``.
+        out: the bank's folder to write; None: the bank stays in memory, all of it. With it,
+            memory holds some blocks of descriptors at a time and never all scores.
+        name: what to call the bank; by default its folder's name.
+        source: where the scores come from; by default the two folders' names.
+        progress: show bars on a terminal, and a line per technique.
+
+    Returns:
+        The bank; memory-mapped where ``out`` is given.
+
+    Raises:
+        FileNotFoundError: for a folder, an image or a weights file that is not there.
+        ValueError: for bad arguments, before any work begins; for an image that cannot be
+            described, naming it.
+        OSError: when the bank or the cache cannot be written.
+        ChildProcessError: when workers die of the same shard again and again.
+    """
+    where = make_executor(executor)
+    made = [make_technique(each) if isinstance(each, str) else each for each in techniques]
+    names = check_names([technique.name for technique in made])
+    declared = _declared(seconds or {}, names)
+    if out is not None:
+        bank_files.check_destination(Path(out))
+    map_folder, run_folder = (
+        each if isinstance(each, ImageFolder) else ImageFolder(each) for each in (reference, query)
+    )
+    if ground_truth is None and tolerance is not None:
+        ground_truth = by_index(map_folder, run_folder, tolerance)
+    truth, places = resolve_ground_truth(ground_truth, tolerance, len(run_folder), len(map_folder))
+    references, queries = images_of(map_folder), images_of(run_folder)
+    plans = [Plan.of(technique, references, queries) for technique in made]
+    say = Progress(progress)
+    with ExitStack() as stack:
+        store = cache if isinstance(cache, Cache) else stack.enter_context(Cache(cache))
+        stack.enter_context(where)
+        costs = [
+            _run(plan, store, where, say, declared.get(plan.technique.name), measure_again)
+            for plan in plans
+        ]
+        result = _Result(
+            names=names,
+            seconds=costs,
+            truth=truth,
+            tolerance=places,
+            name=name,
+            source=source or f"images: {run_folder.path.name} on {map_folder.path.name}",
+        )
+        rows = (block for plan in plans for block in score_rows(plan, store))
+        return result.in_memory(rows) if out is None else result.on_disk(rows, Path(out))
+
+
+@dataclass(frozen=True)
+class _Result:
+    """All of a bank but its scores, which come in blocks of rows, technique by technique."""
+
+    names: tuple[str, ...]
+    seconds: list[float]
+    truth: GroundTruth
+    tolerance: int
+    name: str
+    source: str
+
+    def in_memory(self, rows: Iterator[NDArray[np.float32]]) -> ScoreBank:
+        scores = np.concatenate(list(rows)).reshape(
+            len(self.names), self.truth.queries, self.truth.references
+        )
+        return ScoreBank(
+            scores,
+            self.names,
+            self.seconds,
+            tolerance=self.tolerance,
+            ground_truth=self.truth,
+            name=self.name,
+            source=self.source,
+        )
+
+    def on_disk(self, rows: Iterator[NDArray[np.float32]], path: Path) -> ScoreBank:
+        written = bank_files.write(
+            path,
+            scores=rows,
+            truth=self.truth,
+            techniques=list(zip(self.names, self.seconds, strict=True)),
+            tolerance=self.tolerance,
+            name=self.name or path.name,
+            source=self.source,
+            costs="measured",
+        )
+        return ScoreBank.load(written)
+
+
+def _run(
+    plan: Plan, cache: Cache, where: Executor, say: Progress, declared: float | None, again: bool
+) -> float:
+    """All shards of one technique; returns its seconds."""
+    begun = time.monotonic()
+    with where.workers(plan.technique) as workers:
+        pairs = match(plan, cache, workers, say)
+        cost = declared or seconds_of(plan, cache, workers, say, again=again)
+    known = "" if pairs else ", all from the cache"
+    say.line(
+        f"{plan.technique.name}: {sum(map(len, plan.queries))} queries × "
+        f"{sum(map(len, plan.references))} places in {time.monotonic() - begun:.1f} s{known}; "
+        f"{cost:.4g} s per run"
+    )
+    return cost
+
+
+def _declared(seconds: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
+    for name in seconds:
+        if name not in names:
+            raise ValueError("seconds: " + suggest("technique", name, names))
+    checked = check_seconds(list(seconds.values()), list(seconds))
+    return dict(zip(seconds, checked.tolist(), strict=True))

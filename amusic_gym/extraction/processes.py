@@ -1,0 +1,203 @@
+"""Shards in processes of this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import pickle
+import signal
+import traceback
+from collections import deque
+from collections.abc import Iterable, Iterator
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.extraction.executors import ATTEMPTS, S
+from amusic_gym.extraction.shards import Shard
+from amusic_gym.techniques.protocol import Technique
+
+_GONE = (EOFError, OSError)  # what a pipe raises whose other end died, also in mid-message
+
+
+class Processes:
+    """Runs shards in ``count`` processes, which start as they are needed.
+
+    They are spawned, so a technique's class must be in a module that they can import, and a
+    script must start its work under ``if __name__ == "__main__":``.
+
+    Args:
+        count: of processes.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+
+    def workers(self, technique: Technique) -> _ProcessWorkers:
+        """``count`` processes that hold the technique."""
+        return _ProcessWorkers(self._count, dumped(technique))
+
+    def __enter__(self) -> Processes:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def dumped(technique: Technique) -> bytes:
+    """The technique as workers get it.
+
+    Raises:
+        ValueError: when it does not pickle.
+    """
+    try:
+        return pickle.dumps(technique)
+    except Exception as error:  # anything in a user's class
+        raise ValueError(
+            f"technique {technique.name!r} does not pickle ({error}); define its class at the top "
+            "of a module, or use the executor 'serial'"
+        ) from error
+
+
+def loaded(data: bytes) -> Technique:
+    """The technique in a worker.
+
+    Raises:
+        ValueError: when its class is not found there.
+    """
+    try:
+        technique: Technique = pickle.loads(data)
+    except Exception as error:  # whatever importing a user's module raises
+        raise ValueError(
+            f"a worker cannot load the technique ({error}); define its class in a module that "
+            "workers can import, or use the executor 'serial'"
+        ) from error
+    return technique
+
+
+class _ProcessWorkers:
+    def __init__(self, count: int, technique: bytes) -> None:
+        self._count = count
+        self._technique = technique
+        self._idle: list[_Worker] = []
+        self._busy: dict[Connection, tuple[_Worker, Any, int]] = {}
+
+    def run(self, shards: Iterable[S]) -> Iterator[tuple[S, NDArray[np.float32]]]:
+        ahead = iter(shards)
+        again: deque[tuple[S, int]] = deque()
+        while True:
+            while len(self._busy) < self._count:
+                job = again.popleft() if again else _first_try(ahead)
+                if job is None:
+                    break
+                self._give(*job)
+            if not self._busy:
+                return
+            for connection in wait(list(self._busy)):
+                assert isinstance(connection, Connection)
+                worker, shard, attempt = self._busy.pop(connection)
+                try:
+                    answer = connection.recv()
+                except _GONE:
+                    again.append(_next_try(worker, shard, attempt))
+                    continue
+                self._idle.append(worker)
+                if isinstance(answer, BaseException):
+                    raise answer
+                yield shard, answer
+
+    def _give(self, shard: Shard, attempt: int) -> None:
+        worker = self._idle.pop() if self._idle else _Worker(self._technique)
+        self._busy[worker.connection] = worker, shard, attempt
+        with contextlib.suppress(*_GONE):  # it died: `run` will notice when it listens
+            worker.connection.send(shard)
+
+    def __enter__(self) -> _ProcessWorkers:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        workers = [*self._idle, *(worker for worker, _, _ in self._busy.values())]
+        for worker in workers:
+            worker.stop()
+        for worker in workers:
+            worker.process.join()
+        self._idle, self._busy = [], {}
+
+
+def _first_try(shards: Iterator[S]) -> tuple[S, int] | None:
+    shard = next(shards, None)
+    return None if shard is None else (shard, 1)
+
+
+def _next_try(worker: _Worker, shard: S, attempt: int) -> tuple[S, int]:
+    worker.process.join(1)  # its pipe closed, so it is ending: let it, for its exit code
+    worker.stop()
+    worker.process.join()
+    if attempt == ATTEMPTS:
+        code = worker.process.exitcode or 0
+        how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
+        raise ChildProcessError(
+            f"{shard}: {ATTEMPTS} workers died of it, the last by {how}; if memory ran out, use "
+            "fewer processes; what was finished is in the cache"
+        )
+    return shard, attempt + 1
+
+
+class _Worker:
+    """One process and the pipe to it."""
+
+    def __init__(self, technique: bytes) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.connection, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs, technique), daemon=True)
+        with _interrupts_held_back():
+            self.process.start()
+        theirs.close()
+
+    def stop(self) -> None:
+        self.connection.close()
+        self.process.terminate()
+
+
+@contextlib.contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """Ctrl-C reaches this process after the block, and a process started in it never."""
+    resource_tracker.ensure_running()  # else the first start starts it, which lets signals in
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _serve(connection: Connection, data: bytes) -> None:
+    """What a worker does until its pipe is closed."""
+    technique: Technique | None = None
+    while True:
+        try:
+            shard: Shard = connection.recv()
+        except _GONE:
+            return
+        answer: Any
+        try:
+            technique = technique or loaded(data)
+            answer = shard.run(technique)
+        except Exception as error:  # whatever it is, it belongs to whoever asked
+            answer = _sendable(error)
+        try:
+            connection.send(answer)
+        except _GONE:
+            return
+
+
+def _sendable(error: Exception) -> Exception:
+    """``error`` if it survives pickling, else one that tells of it."""
+    error.__cause__ = None  # not needed, and may not pickle
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError("".join(traceback.format_exception(error)))
+    return error

@@ -1,0 +1,37 @@
+"""Progress on a terminal: a bar with rate and time left; elsewhere one line per technique."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+
+
+class Progress:
+    """Says how far a long piece of work is.
+
+    Args:
+        shown: False: say nothing.
+    """
+
+    def __init__(self, shown: bool = False) -> None:
+        self.shown = shown
+
+    @contextlib.contextmanager
+    def bar(self, title: str, total: int, unit: str) -> Iterator[Callable[[int], object]]:
+        """Yield what is to be called with every amount of work that is done.
+
+        The bar is on stderr, only where that is a terminal, and vanishes at the end.
+        """
+        if not (self.shown and total and sys.stderr.isatty()):
+            yield lambda done: None
+            return
+        from tqdm import tqdm
+
+        with tqdm(desc=title, total=total, unit=f" {unit}", leave=False, dynamic_ncols=True) as bar:
+            yield bar.update
+
+    def line(self, text: str) -> None:
+        """Print a line that stays."""
+        if self.shown:
+            print(text, flush=True)

@@ -1,0 +1,286 @@
+"""The part of bank.py that has to do with images: images | render."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from _cli import Parser, pairs
+
+from amusic_gym.ground_truth import GroundTruth
+from amusic_gym.names import suggest
+
+TRUTH_BY = ("index", "name", "position")
+
+
+@dataclass(frozen=True)
+class _Route:
+    """Two folders, what is true, and what to call it."""
+
+    reference: Any
+    query: Any
+    ground_truth: GroundTruth | None
+    tolerance: int | None
+    name: str
+
+
+def images(args: argparse.Namespace) -> None:
+    """Two folders of images, or a data set -> a bank."""
+    from amusic_gym.extraction import extract
+    from amusic_gym.techniques import make_technique
+
+    specs = [spec.strip() for spec in args.techniques.split(",")]
+    files = _by_technique(pairs(args.weights, "--weights"), specs, "--weights")
+    techniques = [make_technique(spec, files.get(spec)) for spec in specs]
+    names = [technique.name for technique in techniques]
+    seconds = _by_technique(pairs(args.seconds, "--seconds"), names, "--seconds")
+    route = _route(args)
+    bank = extract(
+        route.reference,
+        route.query,
+        techniques,
+        tolerance=route.tolerance,
+        ground_truth=route.ground_truth,
+        seconds={name: number(f"--seconds {name}", text) for name, text in seconds.items()},
+        measure_again=args.measure_again,
+        cache=args.cache,
+        executor=args.executor,
+        out=args.out,
+        name=args.name or route.name,
+        progress=True,
+    )
+    count, queries, references = bank.shape
+    print(f"{bank.path}: {count} techniques, {queries} queries, {references} references")
+
+
+def render(args: argparse.Namespace) -> None:
+    """One made-up route, drawn under several conditions -> a folder of images for each."""
+    from amusic_gym.extraction.progress import Progress
+    from amusic_gym.routes.rendered import SIZE, render_folders
+
+    conditions = list(dict.fromkeys(text.strip() for text in args.condition.split(",")))
+    total = args.places * (1 + len(conditions))
+    with Progress(True).bar("render", total, "images") as advance:
+
+        def one_more(done: int, total: int) -> None:
+            advance(1)
+
+        render_folders(
+            args.out,
+            conditions,
+            seed=args.seed,
+            places=args.places,
+            size=SIZE if args.size is None else _size(args.size),
+            kind=args.kind,
+            progress=one_more,
+        )
+    for name in ("reference", *conditions):
+        print(f"{args.out / name}: {args.places} images")
+
+
+def _size(text: str) -> tuple[int, int]:
+    columns, times, rows = text.lower().partition("x")
+    if not (times and columns.isdecimal() and rows.isdecimal()):
+        raise ValueError(f"--size {text!r} is not of the form WIDTHxHEIGHT, e.g. 320x240")
+    return int(columns), int(rows)
+
+
+def number(what: str, text: str) -> float:
+    """The number that ``text`` is.
+
+    Raises:
+        ValueError: when it is none, naming ``what`` it was given for.
+    """
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{what}={text}: {text!r} is not a number") from None
+
+
+def _by_technique(given: Mapping[str, str], names: Sequence[str], what: str) -> dict[str, str]:
+    """``given`` by the techniques' own spelling; a class may be named without its module."""
+    known = {name.rpartition(":")[2].casefold(): name for name in names}
+    known |= {name.casefold(): name for name in names}
+    for name in given:
+        if name.casefold() not in known:
+            raise ValueError(f"{what}: " + suggest("technique", name, names))
+    return {known[name.casefold()]: value for name, value in given.items()}
+
+
+def _route(args: argparse.Namespace) -> _Route:
+    from amusic_gym.routes.image_truth import with_copies
+
+    if args.dataset is None:
+        route = _folders(args)
+    else:
+        route = _dataset(args)
+    if args.copies and route.ground_truth is not None:
+        widened = with_copies(route.ground_truth, route.reference)
+        return _Route(route.reference, route.query, widened, route.tolerance, route.name)
+    return route
+
+
+def _folders(args: argparse.Namespace) -> _Route:
+    from amusic_gym.routes.folders import ImageFolder
+    from amusic_gym.routes.image_truth import by_index, by_name, by_position, from_file
+
+    _refuse(args, ("root", "images", "first", "step"), "only goes with --dataset")
+    if args.metres is not None and args.truth_by != "position":
+        raise ValueError("--metres only goes with --truth-by position")
+    if args.ground_truth is not None and args.truth_by is not None:
+        raise ValueError("--ground-truth and --truth-by both say what is true; give one of the two")
+    if args.reference is None or args.query is None:
+        raise ValueError("give --reference DIR and --query DIR, or --dataset NAME and --root DIR")
+    if args.tolerance is None and args.ground_truth is None and args.truth_by != "position":
+        raise ValueError("give --tolerance N, the places to either side that count as right")
+    reference, query = ImageFolder(args.reference), ImageFolder(args.query)
+    if args.ground_truth is not None:
+        truth = from_file(args.ground_truth, reference, query, args.tolerance, args.trust)
+    elif args.truth_by == "position":
+        metres = {} if args.metres is None else {"metres": args.metres}
+        truth = by_position(reference, query, **metres)
+    else:
+        by = by_name if args.truth_by == "name" else by_index
+        truth = by(reference, query, args.tolerance)
+    return _Route(reference, query, truth, args.tolerance, "")
+
+
+def _dataset(args: argparse.Namespace) -> _Route:
+    from amusic_gym.routes.datasets import load_dataset
+    from amusic_gym.routes.image_truth import by_index
+
+    given = ("reference", "query", "ground_truth", "truth_by", "metres")
+    _refuse(args, given, "does not go with --dataset, which brings it")
+    if args.root is None:
+        raise ValueError(f"--dataset {args.dataset} needs --root DIR, where its folders are")
+    counts = {
+        name: value
+        for name in ("images", "first", "step")
+        if (value := getattr(args, name)) is not None
+    }
+    found = load_dataset(args.dataset, args.root, **counts)
+    if args.tolerance is None:
+        truth, tolerance = found.ground_truth, found.tolerance
+    else:
+        truth, tolerance = by_index(found.reference, found.query, args.tolerance), args.tolerance
+    return _Route(found.reference, found.query, truth, tolerance, found.name)
+
+
+def _refuse(args: argparse.Namespace, options: Sequence[str], why: str) -> None:
+    for option in options:
+        if getattr(args, option) is not None:
+            raise ValueError(f"--{option.replace('_', '-')} {why}")
+
+
+def add_render(commands: Any) -> Parser:
+    """The command ``render``."""
+    parser: Parser = commands.add_parser(
+        "render", help="draw a made-up route in any weather, as folders of images"
+    )
+    parser.set_defaults(run=render)
+    add = parser.add_argument
+    add(
+        "--condition",
+        required=True,
+        metavar="A,B",
+        help="winter, night, fog, …: a folder for each; A+B is both at once",
+    )
+    add("--places", type=int, default=200, metavar="N", help="of the route (default: %(default)s)")
+    add("--seed", type=int, default=0, metavar="S", help="of the route (default: %(default)s)")
+    add("--size", metavar="WxH", help="of an image in pixels, e.g. 640x480")
+    add("--kind", metavar="KIND", help="street, rail or corridor (default: the seed chooses)")
+    add(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="the folder for reference/, the map, and one folder per condition",
+    )
+    return parser
+
+
+def add_images(commands: Any) -> Parser:
+    """The command ``images``."""
+    parser: Parser = commands.add_parser(
+        "images", help="from two folders of images, or a data set by name"
+    )
+    parser.set_defaults(run=images)
+    add = parser.add_argument
+    add("--reference", type=Path, metavar="DIR", help="the map's images, in natural order")
+    add("--query", type=Path, metavar="DIR", help="the run's images")
+    add("--dataset", metavar="NAME", help="one of the six of the paper, e.g. nordland_winter")
+    add("--root", type=Path, metavar="DIR", help="where the data sets' folders are")
+    add("--images", type=int, metavar="N", help="of a data set, if not as many as in the paper")
+    add("--first", type=int, metavar="I", help="of a data set: the first image to take, from 0")
+    add("--step", type=int, metavar="K", help="of a data set: take each K-th from there")
+    add(
+        "--techniques",
+        required=True,
+        metavar="A,B",
+        help="hog, cohog, calc, netvlad, or package.module:Class",
+    )
+    add(
+        "--weights",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="NAME=FILE",
+        help="weights of a technique, in place of those that ship",
+    )
+    add(
+        "--seconds",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="NAME=S",
+        help="seconds of one run on one frame, in place of those measured here",
+    )
+    add(
+        "--measure-again",
+        action="store_true",
+        help="measure the seconds even if the cache remembers them of this machine",
+    )
+    add(
+        "--tolerance",
+        type=int,
+        metavar="N",
+        help="places to either side of the true one that count as right",
+    )
+    add(
+        "--truth-by",
+        choices=TRUTH_BY,
+        help="frame q is at place q (index, the default); at the image with the same name; or "
+        "near images by @UTM_EAST@UTM_NORTH@ in their names",
+    )
+    add("--metres", type=float, metavar="M", help="how near, with --truth-by position")
+    add(
+        "--ground-truth",
+        type=Path,
+        metavar="FILE",
+        help=".npy or text: a boolean matrix, one place per query, or pairs below 'query,place'",
+    )
+    add("--trust", action="store_true", help="unpickle a ground truth file of VPR-Bench")
+    add(
+        "--copies",
+        action="store_true",
+        help="a place's neighbours with the same image, byte for byte, are true too",
+    )
+    add(
+        "--cache",
+        type=Path,
+        metavar="DIR",
+        help="where finished pieces are kept (default: $XDG_CACHE_HOME/amusic-gym, or "
+        "~/.cache/amusic-gym)",
+    )
+    add(
+        "--executor",
+        default="serial",
+        metavar="serial|process:N|ray[:ADDRESS]",
+        help="where the work is done (default: %(default)s)",
+    )
+    add("--name", help="what to call it in tables (default: --out's name, or the data set's)")
+    add("--out", type=Path, required=True, metavar="BANK", help="the folder")
+    return parser

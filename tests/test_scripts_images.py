@@ -1,0 +1,224 @@
+"""scripts/bank.py images and render."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from extraction_cases import make_images
+
+from amusic_gym.bank import ScoreBank
+from amusic_gym.extraction import BLOCK
+from amusic_gym.routes.images import read_image
+
+ROOT = Path(__file__).resolve().parent.parent
+COUNT = BLOCK + 2
+
+
+def bank(*arguments: object, cwd: Path | None = None):
+    """`bank.py` in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-W", "error", str(ROOT / "scripts" / "bank.py"), *map(str, arguments)],
+        env={**os.environ, "PYTHONPATH": str(ROOT / "tests")},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        cwd=cwd,
+    )
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    root = tmp_path_factory.mktemp("images")
+    return make_images(root / "map", COUNT), make_images(root / "run", COUNT, seed=1)
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """`bank.py images` in this process: exit status, stdout and stderr."""
+    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        import _cli
+        import bank
+
+        monkeypatch.setattr(sys, "argv", ["bank.py", *map(str, arguments)])
+        with pytest.raises(SystemExit) as exit_:
+            _cli.run(bank.main)
+        out, err = capsys.readouterr()
+        return exit_.value.code or 0, out, err
+
+    return run
+
+
+@pytest.fixture
+def arguments(folders, tmp_path):
+    """The least that the command needs; the cache is the test's own."""
+    return [
+        *("images", "--reference", folders[0], "--query", folders[1]),
+        *("--techniques", "extraction_cases:Tiny", "--cache", tmp_path / "cache"),
+        *("--out", tmp_path / "bank"),
+    ]
+
+
+def test_executors_write_the_same_bytes_and_a_line_per_technique(arguments, tmp_path):
+    both = ["--techniques", "extraction_cases:Tiny,extraction_cases:TwoSided", "--name", "same"]
+    seconds = ["--tolerance", 1, "--seconds", "Tiny=0.5", "twosided=0.25"]
+    found = []
+    for executor in ("serial", "process:2"):
+        place = tmp_path / executor.replace(":", "")
+        own = ["--cache", place / "cache", "--out", place / "bank", "--executor", executor]
+        done = bank(*arguments, *both, *seconds, *own)
+        assert (done.returncode, done.stderr) == (0, "")
+        lines = done.stdout.splitlines()
+        assert [line.split(":")[0] for line in lines[:2]] == ["Tiny", "TwoSided"]
+        assert lines[2] == f"{place / 'bank'}: 2 techniques, {COUNT} queries, {COUNT} references"
+        found.append([file.read_bytes() for file in sorted((place / "bank").iterdir())])
+    assert found[0] == found[1]
+    assert ScoreBank.load(place / "bank").seconds.tolist() == [0.5, 0.25]
+
+
+def test_the_same_command_twice_writes_the_same_bank(run, arguments, tmp_path):
+    written = []
+    for _ in range(2):
+        status, out, err = run(*arguments, "--tolerance", 1)
+        assert (status, err) == (0, "")
+        written.append((tmp_path / "bank" / "bank.json").read_bytes())
+    assert written[0] == written[1]
+    assert "all from the cache" in out
+
+
+def truth_of(place: Path):
+    return ScoreBank.load(place / "bank").truth
+
+
+def test_ground_truth_by_name_position_and_file(run, arguments, folders, tmp_path):
+    assert run(*arguments, "--truth-by", "name", "--tolerance", 0)[0] == 0
+    assert truth_of(tmp_path).places.tolist() == list(range(COUNT))
+    assert ScoreBank.load(tmp_path / "bank").tolerance == 0
+
+    places = np.arange(COUNT)[::-1]
+    np.savetxt(tmp_path / "truth.txt", places, fmt="%d")
+    given = ["--ground-truth", tmp_path / "truth.txt", "--tolerance", 0]
+    assert run(*arguments, *given)[0] == 0
+    assert truth_of(tmp_path).places.tolist() == places.tolist()
+
+    named = tmp_path / "named"
+    named.mkdir()
+    for at, image in enumerate(sorted(folders[0].iterdir())[:4]):
+        (named / f"@{500000 + 10 * at}@4000000@.png").write_bytes(image.read_bytes())
+    ours = ["--reference", named, "--query", named, "--truth-by", "position", "--metres", 10]
+    assert run(*arguments, *ours)[0] == 0
+    assert np.diff(truth_of(tmp_path).indptr).tolist() == [2, 3, 3, 2]
+
+
+def test_copies_of_a_true_place_may_count(run, arguments, folders, tmp_path):
+    stopped = tmp_path / "stopped"
+    stopped.mkdir()
+    for at, image in enumerate(sorted(folders[0].iterdir())[:4]):
+        (stopped / f"{at}.png").write_bytes(image.read_bytes())
+    (stopped / "2.png").write_bytes((stopped / "1.png").read_bytes())
+    ours = ["--reference", stopped, "--query", stopped, "--tolerance", 0]
+    with pytest.warns(UserWarning, match="repeated in frames 1 to 2"):
+        assert run(*arguments, *ours, "--copies")[0] == 0
+    assert truth_of(tmp_path).places.tolist() == [0, 1, 2, 1, 2, 3]
+
+
+def test_a_data_set_by_name(run, arguments, folders, tmp_path):
+    (tmp_path / "nordland").mkdir()
+    for folder, name in zip(folders, ("summer", "winter"), strict=True):
+        (tmp_path / "nordland" / name).symlink_to(folder)
+    found = ["images", "--dataset", "nordland_winter", "--root", tmp_path, *arguments[5:]]
+    status, _, err = run(*found)
+    assert status == 2
+    assert f"{COUNT} images, but the paper used 1000" in err
+    assert run(*found, "--images", 10, "--first", 3, "--step", 2)[0] == 0
+    loaded = ScoreBank.load(tmp_path / "bank")
+    assert (loaded.shape, loaded.tolerance) == ((1, 10, 10), 1)
+    assert loaded.name == "nordland_winter"
+    assert run(*found, "--images", COUNT, "--tolerance", 3)[0] == 0
+    assert ScoreBank.load(tmp_path / "bank").tolerance == 3
+    for option in ("--reference", "--query", "--ground-truth"):
+        status, _, err = run(*found, option, tmp_path)
+        assert (status, err.count("\n")) == (2, 1)
+        assert f"{option} does not go with --dataset" in err
+    status, _, err = run(*found[:3], *found[5:])
+    assert status == 2
+    assert "needs --root DIR" in err
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ([], "give --tolerance N"),
+        (["--tolerance", -1], "tolerance is -1"),
+        (["--techniques", "hogg"], "unknown technique 'hogg': did you mean 'hog'?"),
+        (["--techniques", "nowhere:Mine"], "technique 'nowhere:Mine' cannot be imported"),
+        (["--reference", "nowhere", "--tolerance", 1], "nowhere does not exist"),
+        (["--weights", "hog=x"], "--weights: unknown technique 'hog'"),
+        (["--weights", "tiny=no.file"], "takes no weights; leave out no.file"),
+        (["--seconds", "Tiny=fast", "--tolerance", 1], "Tiny=fast: 'fast' is not a number"),
+        (["--seconds", "Tiny=nan", "--tolerance", 1], "seconds of technique 'Tiny' are nan"),
+        (["--seconds", "HOG=1"], "--seconds: unknown technique 'HOG'"),
+        (["--executor", "rya", "--tolerance", 1], "unknown executor 'rya': did you mean 'ray'"),
+        (["--ground-truth", "no.txt"], "no.txt does not exist"),
+        (["--images", 3], "--images only goes with --dataset"),
+        (["--out", ROOT, "--tolerance", 1], "holds other files"),
+        (["--truth-by", "names"], "invalid choice: 'names'"),
+        (["--metres", 3, "--tolerance", 1], "--metres only goes with --truth-by position"),
+        (["--truth-by", "name", "--ground-truth", "f", "--tolerance", 1], "give one of the two"),
+        (["--tolernce", 3], "did you mean '--tolerance'"),
+    ],
+)
+def test_bad_arguments_are_refused_in_one_line_before_any_work(
+    run, arguments, tmp_path, given, message
+):
+    status, out, err = run(*arguments, *given)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert message in err
+    assert not list(tmp_path.iterdir())
+
+
+# ---- render ------------------------------------------------------------------------------------
+
+
+def test_a_rendered_route_becomes_a_bank(run, tmp_path):
+    route = ["--places", 3, "--seed", 2, "--size", "48x32", "--kind", "rail"]
+    given = ["render", "--condition", "winter, night,winter", *route, "--out", tmp_path / "route"]
+    status, out, err = run(*given)
+    assert (status, err) == (0, "")
+    folders = [tmp_path / "route" / name for name in ("reference", "winter", "night")]
+    assert out.splitlines() == [f"{folder}: 3 images" for folder in folders]
+    image = read_image(folders[1] / "0002.jpg")
+    assert image.shape == (32, 48, 3)
+    status, out, err = run(
+        *("images", "--reference", folders[0], "--query", folders[2], "--tolerance", 0),
+        *("--techniques", "extraction_cases:Tiny", "--cache", tmp_path / "cache"),
+        *("--out", tmp_path / "bank"),
+    )
+    assert (status, err) == (0, "")
+    assert ScoreBank.load(tmp_path / "bank").shape == (1, 3, 3)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["--condition", "wintre"], "did you mean 'winter'"),
+        (["--condition", "day", "--size", "big"], "--size 'big' is not of the form WIDTHxHEIGHT"),
+        (["--condition", "day", "--size", "99x1"], "rows is 1"),
+        (["--condition", "day", "--places", 0], "places is 0"),
+        (["--condition", "day", "--seed", -1], "-1"),
+        (["--condition", "day", "--kind", "rial"], "did you mean 'rail'"),
+        ([], "--condition"),
+    ],
+)
+def test_what_cannot_be_rendered_is_refused_in_one_line(run, tmp_path, given, message):
+    status, out, err = run("render", *given, "--out", tmp_path / "route")
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert message in err
+    assert not (tmp_path / "route").exists()
