@@ -39,6 +39,7 @@ class SB3VecEnv(VecEnv):
         self.env = env
         self.render_mode = env.render_mode
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        self.metadata = env.metadata
         self._actions: NDArray[Any] = np.zeros(0)
         self._returns = np.zeros(env.num_envs)
         self._lengths = np.zeros(env.num_envs, np.int64)
@@ -101,6 +102,11 @@ class SB3VecEnv(VecEnv):
         for values in self._terms.values():
             values[i] = 0.0
         return ended
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """A picture of every route, with ``render_mode="rgb_array"``."""
+        pictures = self.env.render()
+        return [None] * self.num_envs if pictures is None else list(pictures)
 
     def close(self) -> None:
         """Close the wrapped environment."""

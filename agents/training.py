@@ -19,7 +19,6 @@ from agents.keeper import Keeper
 from agents.network import SelectorPolicy
 from agents.run_folder import CHECKPOINT, SELECTOR
 from agents.selector import TrainedSelector, load_selector
-from amusic_gym.bank import ScoreBank
 from amusic_gym.sources import BankLike, Banks, RouteSource, SimulatedRoutes
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
@@ -144,8 +143,8 @@ def _source(config: TrainingConfig, banks: Sequence[BankLike]) -> RouteSource:
 
 
 def _folder(bank: BankLike) -> str | None:
-    """A bank's folder, None for one that is only in memory."""
-    path = bank.path if isinstance(bank, ScoreBank) else bank
+    """A bank's folder, None for a live route and for a bank that is only in memory."""
+    path = bank if isinstance(bank, str | os.PathLike) else getattr(bank, "path", None)
     return None if path is None else os.path.abspath(path)
 
 

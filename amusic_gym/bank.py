@@ -201,7 +201,7 @@ class ScoreBank:
         elif model == "runs":
             view.seconds = _read_only(np.ones(len(self.techniques)))
         elif model == "paper":
-            view.seconds = _paper_seconds(self.techniques)
+            view.seconds = paper_seconds(self.techniques)
         else:
             raise ValueError(
                 f"the bank holds the seconds of the cost model {given!r}, not measured ones; "
@@ -341,7 +341,12 @@ def check_seconds(seconds: ArrayLike, techniques: Sequence[str]) -> NDArray[np.f
     return _read_only(array)
 
 
-def _paper_seconds(techniques: Sequence[str]) -> NDArray[np.float64]:
+def paper_seconds(techniques: Sequence[str]) -> NDArray[np.float64]:
+    """(T,) seconds of the paper's techniques.
+
+    Raises:
+        ValueError: for a technique that the paper does not time.
+    """
     by_name = {name.casefold(): seconds for name, seconds in PAPER_SECONDS.items()}
     for name in techniques:
         if name.casefold() not in by_name:

@@ -52,6 +52,7 @@ ROUTE = np.dtype(
         ("p_correct_mean", np.float64),
         ("continues", np.float64),  # 1 if the prediction moved on by one place
         ("since_doubt", np.float64),
+        ("spent", np.float64),  # seconds to charge for this step; -1: those declared of its runs
         ("compute", np.float64),  # seconds of this step / total_seconds
         ("compute_mean", np.float64),
         ("agreeing", np.float64),  # share of techniques whose diagonal is the fused one
@@ -195,14 +196,33 @@ def select_techniques(slots: Any, frames: int, coverage: float) -> None:
 
 
 @apart
-def rebuild_lagged(state: State, rules: Rules, i: int, s: int, first: int) -> None:
-    """Bring the lagged sums up to the block that starts at ``first`` and restart from them."""
+def advance_lagged(state: State, rules: Rules, i: int, s: int, first: int) -> None:
+    """Bring the lagged sums of a technique up to the block that starts at ``first``."""
     slot, run, ran = state.slots[i, s], state.runs[i, s], state.ran[i, s]
     sums, mark = state.sums[LAGGED, i, s], state.marks[LAGGED, i, s]
     for frame in range(slot.lagged, first):
         if ran[frame]:
             push(sums, mark, run, ran, frame, rules.history, rules.gamma)
     slot.lagged = first
+
+
+@apart
+def keep_up(state: State, rules: Rules, i: int, frame: int) -> None:
+    """Advance the lagged sums of live techniques, whose rows will not be there for long.
+
+    A bank's wait for a selection. The sums are the same: no later selection changes what ran
+    before the block of M frames that ends here.
+    """
+    for s in range(state.slots[i].size):
+        if state.slots[i, s].present and state.runs[i, s].entries != 0:
+            advance_lagged(state, rules, i, s, max(0, frame - rules.block))
+
+
+@apart
+def rebuild_lagged(state: State, rules: Rules, i: int, s: int, first: int) -> None:
+    """Bring the lagged sums up to the block that starts at ``first`` and restart from them."""
+    advance_lagged(state, rules, i, s, first)
+    sums, mark = state.sums[LAGGED, i, s], state.marks[LAGGED, i, s]
     fresh = state.sums[LIVE, i, s]
     for place in range(sums.size):  # a loop: assigning a slice compiles ten times as long
         fresh[place] = sums[place]
@@ -391,6 +411,8 @@ def report(state: State, i: int, frame: int, out: Outcome) -> None:
     route.frame = frame
     route.since_doubt = 0.0 if route.p_correct < DOUBT else route.since_doubt + 1.0
     route.p_correct_mean += SMOOTHING * (route.p_correct - route.p_correct_mean)
+    if route.spent >= 0.0:
+        out.routes[i].seconds = route.spent
     route.compute = out.routes[i].seconds / route.total_seconds
     route.compute_mean += SMOOTHING * (route.compute - route.compute_mean)
     show(state, i, out)
@@ -410,12 +432,20 @@ def show(state: State, i: int, out: Outcome) -> None:
 
 
 @inner
-def step_route(state: State, rules: Rules, i: int, action: Any, out: Outcome) -> None:
-    """Process the next frame of route ``i``."""
+def plan_route(state: State, rules: Rules, i: int, action: Any, out: Outcome) -> None:
+    """Decide what runs on the next frame of route ``i``, with a selection where it is asked for."""
     frame = state.routes[i].frame + 1
-    if rules.block > 0 and action[-1] and frame > 0:
-        select(state, rules, i, frame, out)
+    if rules.block > 0:
+        keep_up(state, rules, i, frame)
+        if action[-1] and frame > 0:
+            select(state, rules, i, frame, out)
     choose_runs(state, rules, i, action, out)
+
+
+@inner
+def process_route(state: State, rules: Rules, i: int, out: Outcome) -> None:
+    """Process the next frame of route ``i``; the rows of what runs on it are there."""
+    frame = state.routes[i].frame + 1
     run_techniques(state, rules, i, frame, out)
     if out.routes[i].idle:
         out.routes[i].technique = -1
@@ -427,19 +457,29 @@ def step_route(state: State, rules: Rules, i: int, action: Any, out: Outcome) ->
 
 
 @compiled
-def step_routes(state: State, rules: Rules, active: Any, actions: Any, out: Outcome) -> None:
+def step_routes(
+    state: State, rules: Rules, active: Any, actions: Any, plan: bool, process: bool, out: Outcome
+) -> None:
     """Process the next frame of every active route and show the others as they are.
+
+    A live route computes the rows that a plan names before they are processed, and those of a
+    selection's block before the plan. Banks have all rows: they do both at once.
 
     Args:
         state: the batch's memory, changed in place.
         rules: numbers that hold for all.
         active: (N,) bool.
         actions: (N, A) bool; A = S, or S + 1 with the re-select bit last.
+        plan: decide what runs.
+        process: run what was decided, in this call or, with the same ``out``, the last.
         out: outcome to fill, zeroed.
     """
     for i in range(active.size):
         if active[i]:
-            step_route(state, rules, i, actions[i], out)
-        else:
+            if plan:
+                plan_route(state, rules, i, actions[i], out)
+            if process:
+                process_route(state, rules, i, out)
+        elif process:
             out.routes[i].technique = -1
             show(state, i, out)

@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
+from amusic_gym.pictures.viewer import viewer_for
 from amusic_gym.task import RENDER_FPS, RENDER_MODES, Infos, Task, as_seed, first_of
 
 
@@ -113,6 +114,7 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     def __init__(self, bank: Any = None, **arguments: Any) -> None:
         self.task = Task(1, bank, **arguments)
         self.render_mode = arguments.get("render_mode")
+        self._viewer = viewer_for(self.task.episodes, self.render_mode, RENDER_FPS)
         self.observation_space = self.task.observation_space
         self.action_space = self.task.action_space
         self._running = False
@@ -131,6 +133,8 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
         self.task.begin(0, self.np_random, options)
         self._running = True
         out = self.task.episodes.look()
+        if self._viewer is not None:
+            self._viewer.look()
         return out.observation[0], first_of(self.task.infos(out))
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, Infos]:
@@ -145,6 +149,8 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
         actions = self.task.check_actions(action, ())
         out, rewards, terminated, truncated, infos = self.task.step(self._everyone, actions)
         self._running = not (terminated[0] or truncated[0])
+        if self._viewer is not None:
+            self._viewer.look()
         return (
             out.observation[0],
             float(rewards[0]),
@@ -153,6 +159,18 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
             first_of(infos),
         )
 
-    def render(self) -> str | None:
-        """One line on the last frame with ``render_mode="ansi"``."""
+    def render(self) -> str | NDArray[np.uint8] | None:
+        """The last frame: one line with ``render_mode="ansi"``, a picture with ``"rgb_array"``.
+
+        The window of ``"human"`` follows every reset and step by itself. No mode shows the ground
+        truth.
+        """
+        if self.render_mode == "rgb_array":
+            assert self._viewer is not None
+            return self._viewer.pictures()[0]
         return self.task.describe(0) if self.render_mode == "ansi" else None
+
+    def close(self) -> None:
+        """Close the window, if there is one; twice is fine."""
+        if self._viewer is not None:
+            self._viewer.close()

@@ -7,8 +7,9 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +26,18 @@ from amusic_gym.dynamics import (
     State,
     step_routes,
 )
+from amusic_gym.live import ENDLESS
 from amusic_gym.observation import declare_costs, observation_size
 from amusic_gym.rows import RUN
 from amusic_gym.settings import COVERAGE, SICSettings
 from amusic_gym.sic import SLACK, SUMS
+from amusic_gym.sources import Recording
+
+if TYPE_CHECKING:
+    from amusic_gym.live_rows import LiveRows
+
+ROOM = 1024
+"""Frames that there is room for at first on such a route; it doubles when it is used up."""
 
 
 @dataclass(frozen=True)
@@ -36,15 +45,15 @@ class Route:
     """What one episode runs on.
 
     Attributes:
-        bank: where the score rows come from.
+        bank: where the score rows come from: a bank, or a live route.
         start: the bank's query that is frame 0.
-        frames: length of the route.
+        frames: length of the route, `ENDLESS` where it is not known.
         columns: (S,) technique of the bank in each slot, −1 for an empty slot.
         compute_weight: λ of the episode's reward.
         index: the bank's number in the environment's list.
     """
 
-    bank: ScoreBank
+    bank: Recording
     start: int
     frames: int
     columns: NDArray[np.int64]
@@ -78,7 +87,9 @@ class Episodes:
         self.slots = slots
         self.settings = settings
         self.routes: list[Route | None] = [None] * num_routes
+        self.drives: list[LiveRows | None] = [None] * num_routes  # of the live routes
         self.indices: NDArray[np.int64] = np.full(num_routes, -1)  # (N,) of the routes' banks
+        self._broken = np.zeros(num_routes, np.bool_)  # (N,) cut short by an error
         self.rules = Rules(
             history=settings.history,
             gamma=float(settings.gamma),
@@ -88,9 +99,12 @@ class Episodes:
             allow_idle=allow_idle,
             calibration=coefficients(settings.statistic),
         )
-        self.state = self._allocate(references=1, queries=1, candidates=1)
+        self.stepped = np.zeros(
+            num_routes, np.bool_
+        )  # (N,) routes that processed a frame in the last step
+        self.state = self._allocate(references=1, frames=1, candidates=1)
 
-    def _allocate(self, references: int, queries: int, candidates: int) -> State:
+    def _allocate(self, references: int, frames: int, candidates: int) -> State:
         n, s = self.num_routes, self.slots
         sets = 2 if self.rules.block else 1
         return State(
@@ -99,25 +113,25 @@ class Episodes:
             runs=np.zeros((n, s), RUN),
             marks=np.zeros((2, n, s), SUMS),
             sums=np.zeros((sets, n, s, references + SLACK)),
-            ran=np.zeros((n, s, queries), np.uint8),
-            prefix=np.zeros((n, s, queries + 1)),
+            ran=np.zeros((n, s, frames), np.uint8),
+            prefix=np.zeros((n, s, frames + 1)),
             values=np.zeros((s, candidates)),
             scratch=np.zeros(max(s, candidates)),
         )
 
-    def _make_room(self, route: Route) -> None:
-        """Grow the arrays to hold ``route``, keeping the other routes' memory."""
+    def _make_room(self, references: int, frames: int) -> None:
+        """Grow the arrays for a route of that size, keeping the other routes' memory."""
         old = self.state
-        references = max(route.bank.references, old.sums.shape[-1] - SLACK)
-        queries = max(route.frames, old.ran.shape[-1])
+        references = max(references, old.sums.shape[-1] - SLACK)
+        frames = max(frames, old.ran.shape[-1])
         candidates = max(min(self.settings.candidates, references), old.values.shape[-1])
-        if (references, queries, candidates) == (
+        if (references, frames, candidates) == (
             old.sums.shape[-1] - SLACK,
             old.ran.shape[-1],
             old.values.shape[-1],
         ):
             return
-        new = self._allocate(references, queries, candidates)
+        new = self._allocate(references, frames, candidates)
         for name in ("routes", "slots", "runs", "marks", "sums", "ran", "prefix"):
             kept = getattr(old, name)
             getattr(new, name)[tuple(slice(0, size) for size in kept.shape)] = kept
@@ -125,10 +139,17 @@ class Episodes:
 
     def begin(self, i: int, route: Route) -> None:
         """Start ``route`` as number ``i`` of the batch; nothing has run on it yet."""
-        self._make_room(route)
+        bank = route.bank
+        self._make_room(bank.references, ROOM if route.frames == ENDLESS else route.frames)
+        self.drives[i] = (
+            None
+            if isinstance(bank, ScoreBank)
+            else bank.drive(route.start, self.settings, self.rules.block)
+        )
+        self._broken[i] = False
         self.routes[i] = route
         self.indices[i] = route.index
-        state, bank = self.state, route.bank
+        state = self.state
         for array in (state.sums[:, i], state.ran[i], state.prefix[i]):
             array.fill(0)
         record = state.routes[i : i + 1]
@@ -139,6 +160,7 @@ class Episodes:
         record["tolerance"] = bank.tolerance
         record["compute_weight"] = route.compute_weight
         record["prediction"] = -1
+        record["spent"] = -1.0
         present = route.columns >= 0
         record["total_seconds"] = bank.seconds[route.columns[present]].sum()
         slots = state.slots[i]
@@ -158,7 +180,12 @@ class Episodes:
         route = self.routes[i]
         if route is None:
             return
-        bank, runs = route.bank, self.state.runs[i]
+        bank, runs, drive = route.bank, self.state.runs[i], self.drives[i]
+        runs[:] = np.zeros(self.slots, RUN)
+        if drive is not None:
+            drive.point(runs, route.columns)
+            return
+        assert isinstance(bank, ScoreBank)
         prepared = bank.prepared(self.settings.candidates)
         runs["start"] = route.start
         runs["references"] = bank.references
@@ -173,19 +200,78 @@ class Episodes:
     def step(self, active: NDArray[np.bool_], actions: NDArray[np.bool_]) -> Outcome:
         """Process the next frame of the active routes; the others are shown as they are.
 
+        A live route whose source has ended is shown as it is, too: :attr:`stepped` tells.
+
         Args:
             active: (N,) routes to step.
             actions: (N, S), or (N, S + 1) with the re-select bit last.
 
         Raises:
-            ValueError: for a row with NaN or infinite scores, naming technique and frame.
+            ValueError: for a row with NaN or infinite scores, naming technique and frame; for
+                what a live route cannot compute, or a step after such an error.
+            FileNotFoundError: for a live route's image that is gone.
         """
         out = self._outcome()
-        step_routes(self.state, self.rules, active, actions, out)
+        self.stepped = active
+        live = [i for i, drive in enumerate(self.drives) if drive is not None and active[i]]
+        if live:
+            self._step_live(live, actions, out)
+        else:
+            step_routes(self.state, self.rules, active, actions, True, True, out)
         bad = out.routes["bad_row"]
         if bad.any():
             raise ValueError(self._bad_row(bad))
         return out
+
+    def _step_live(self, live: Sequence[int], actions: NDArray[np.bool_], out: Outcome) -> None:
+        """A step with live routes: let their techniques run between the plan and its processing."""
+        if self._broken[self.stepped].any():
+            raise ValueError("an error cut the last step short; call reset() before the next")
+        self._look_ahead(live)
+        self._broken |= self.stepped
+        live = [i for i in live if self.stepped[i]]
+        for i in live:
+            self._run(i, self._missed(i) if self.rules.block and actions[i, -1] else [])
+        step_routes(self.state, self.rules, self.stepped, actions, True, False, out)
+        for i in live:
+            frame = int(self.state.routes[i]["frame"]) + 1
+            self._run(i, [(s, frame) for s in np.flatnonzero(out.slots["ran"][i]).tolist()])
+        step_routes(self.state, self.rules, self.stepped, actions, False, True, out)
+        self._broken &= ~self.stepped
+
+    def _look_ahead(self, live: Sequence[int]) -> None:
+        """Read the images of the next frame; routes whose source has ended take no step."""
+        self.stepped = self.stepped.copy()
+        for i in live:
+            drive, record = self.drives[i], self.state.routes[i]
+            assert drive is not None
+            frame = int(record["frame"]) + 1
+            self.stepped[i] = drive.advance(frame)
+            if not self.stepped[i]:
+                record["frames"] = frame
+            elif drive.frames is not None:
+                record["frames"] = drive.frames
+            if frame >= self.state.ran.shape[-1]:
+                self._make_room(1, 2 * self.state.ran.shape[-1])
+
+    def _missed(self, i: int) -> list[tuple[int, int]]:
+        """(slot, frame) of what did not run on the last M frames; a selection looks at it."""
+        frame, present = self.state.routes[i]["frame"] + 1, self.state.slots[i]["present"] > 0
+        first = max(0, frame - self.rules.block)
+        missed = (self.state.ran[i, :, first:frame] == 0) & present[:, None]
+        return [(int(s), int(first + past)) for s, past in np.argwhere(missed)]
+
+    def _run(self, i: int, wanted: Sequence[tuple[int, int]]) -> None:
+        """Run techniques of a live route on frames, and let the kernels know where the rows are."""
+        route, drive = self.routes[i], self.drives[i]
+        assert route is not None
+        assert drive is not None
+        for s, frame in wanted:
+            drive.run(int(route.columns[s]), frame)
+        if drive.moved:
+            drive.point(self.state.runs[i], route.columns)
+        if drive.route.charge_wall_time:
+            self.state.routes["spent"][i] = drive.spent
 
     def look(self) -> Outcome:
         """Show every route as it is, without a step."""

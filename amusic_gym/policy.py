@@ -14,6 +14,7 @@ from amusic_gym.settings import COVERAGE
 
 if TYPE_CHECKING:
     from amusic_gym.bank import ScoreBank
+    from amusic_gym.live import LiveRoute
 
 
 @dataclass(frozen=True)
@@ -82,19 +83,35 @@ class Context:
         seconds: (T,) cost of one run.
         statistic: SIC's statistic that the user chose.
         seed: for policies that draw.
-        bank: the whole bank. For bounds that need scores and ground truth; no honest policy does.
+        route: the bank or live route.
     """
 
     techniques: tuple[str, ...]
     seconds: NDArray[np.float64]
     statistic: str
     seed: int
-    bank: ScoreBank
+    route: ScoreBank | LiveRoute
 
     @classmethod
-    def of(cls, bank: ScoreBank, *, statistic: str, seed: int = 0) -> Context:
-        """Context of a bank."""
-        return cls(bank.techniques, bank.seconds, statistic, seed, bank)
+    def of(cls, route: ScoreBank | LiveRoute, *, statistic: str, seed: int = 0) -> Context:
+        """Context of a bank or live route."""
+        return cls(route.techniques, route.seconds, statistic, seed, route)
+
+    @property
+    def bank(self) -> ScoreBank:
+        """The whole bank: for bounds that need scores and ground truth; no honest policy does.
+
+        Raises:
+            ValueError: for a live route, which has no scores yet.
+        """
+        from amusic_gym.bank import ScoreBank
+
+        if not isinstance(self.route, ScoreBank):
+            raise ValueError(
+                f"live route {self.route.name!r}: a policy that needs all scores and the ground"
+                " truth beforehand runs on a score bank only; extract one, or take another policy"
+            )
+        return self.route
 
     def index(self, name: str) -> int:
         """Index of a technique.

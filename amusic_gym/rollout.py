@@ -1,4 +1,4 @@
-"""Runs policies on banks and records traces."""
+"""Runs policies on banks and live routes and records traces."""
 
 from __future__ import annotations
 
@@ -10,32 +10,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.bank import ScoreBank
+from amusic_gym.live import LiveRoute
 from amusic_gym.policy import Localiser, Policy, Selector
 from amusic_gym.settings import SICSettings
+from amusic_gym.sources import Recording
 from amusic_gym.trace import Trace
 
 Progress = Callable[[int], None]
+
+NAVIGATED = {
+    "predictions": "prediction",
+    "confidence": "confidence",
+    "p_correct": "p_correct",
+    "chosen": "technique",
+    "ran": "ran",
+    "late_runs": "late_runs",
+    "selections": "selection",
+}
+"""Argument of `Trace.join` -> attribute of a sighting."""
 
 RECORDED = ("prediction", "confidence", "p_correct", "technique", "ran", "idle")
 
 
 @dataclass(frozen=True)
 class Job:
-    """One episode to run: a bank and, for policies that have one, the compute weight λ."""
+    """One episode to run: a bank or live route and, for policies that have one, the weight λ."""
 
-    bank: ScoreBank
+    bank: Recording
     compute_weight: float | None = None
 
 
 def rollout(
     policy: Policy,
-    bank: ScoreBank,
+    bank: Recording,
     *,
     name: str,
     statistic: str = SICSettings.statistic,
     compute_weight: float | None = None,
 ) -> Trace:
-    """Run a policy over a whole bank.
+    """Run a policy over a whole bank, or a live route of known length and ground truth.
 
     Args:
         policy: selector or localiser.
@@ -50,14 +63,45 @@ def rollout(
 def rollouts(
     policy: Policy, jobs: Sequence[Job], *, name: str, statistic: str = SICSettings.statistic
 ) -> list[Trace]:
-    """Run a policy on several routes, a selector on all of them at once.
+    """Run a policy on several routes, a selector on all banks at once; live routes one by one.
 
     Raises:
-        ValueError: if a selector was made for another statistic or a bank's score is not finite.
+        ValueError: if a selector was made for another statistic, a score is not finite, or the
+            length or ground truth of a live route is not known.
     """
-    if isinstance(policy, Selector):
+    if isinstance(policy, Selector) and not any(isinstance(j.bank, LiveRoute) for j in jobs):
         return _select(policy, jobs, name, statistic)
-    return [_localise(policy, job.bank, name) for job in jobs]
+    return [_one(policy, job, name, statistic) for job in jobs]
+
+
+def _one(policy: Policy, job: Job, name: str, statistic: str) -> Trace:
+    """Run a policy on one route."""
+    if isinstance(job.bank, LiveRoute):
+        return _navigate(policy, job.bank, job.compute_weight, name, statistic)
+    if isinstance(policy, Selector):
+        return _select(policy, [job], name, statistic)[0]
+    return _localise(policy, job.bank, name)
+
+
+def _navigate(
+    policy: Policy, route: LiveRoute, compute_weight: float | None, name: str, statistic: str
+) -> Trace:
+    """Drive along a live route and keep everything but the images."""
+    from amusic_gym.navigation import navigate
+
+    columns: dict[str, list[Any]] = {key: [] for key in NAVIGATED}
+    for sighting in navigate(policy, route, statistic=statistic, compute_weight=compute_weight):
+        for key, attribute in NAVIGATED.items():
+            columns[key].append(getattr(sighting, attribute))
+    estimates = columns.pop("p_correct")
+    if isinstance(policy, Selector):
+        statistic = policy.needs.statistic or statistic
+        columns["p_correct"] = estimates
+    else:
+        statistic, compute_weight = "none", None
+    return Trace.join(
+        route, policy=name, statistic=statistic, compute_weight=compute_weight, **columns
+    )
 
 
 def _localise(policy: Localiser, bank: ScoreBank, name: str) -> Trace:
@@ -98,7 +142,7 @@ def _select(policy: Selector, jobs: Sequence[Job], name: str, statistic: str) ->
     observation, info = env.reset(options=options)
     policy.reset(np.ones(len(jobs), np.bool_))
     recorder = _Recorder(jobs)
-    for frame in range(max(job.bank.queries for job in jobs)):
+    for frame in range(max(job.bank.queries or 0 for job in jobs)):
         observation, _, _, _, info = env.step(policy.act(observation, info))
         recorder.record(frame, info)
     return recorder.traces(name, statistic)

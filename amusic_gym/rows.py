@@ -1,8 +1,9 @@
-"""What SIC needs to know of every score row, computed once per bank and row, when first used."""
+"""What SIC needs to know of every score row, computed once per row, when first used."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,6 +47,7 @@ RUN = np.dtype(
         ("top", np.int64),
         ("ready", np.int64),
         ("start", np.int64),  # the query that is frame 0
+        ("entries", np.int64),  # live: address of each frame's row number (Q,) int64; 0: in order
         ("references", np.int64),  # R
         ("candidates", np.int64),  # K, clipped to R
     ]
@@ -53,36 +55,89 @@ RUN = np.dtype(
 """Where one technique's rows lie in memory."""
 
 
+@dataclass
+class RowBuffer:
+    """Rows of one technique that come one by one; room for C of them."""
+
+    rows: NDArray[np.float32]  # (C, R)
+    mean: NDArray[np.float64]  # (C,)
+    scale: NDArray[np.float64]  # (C,)
+    top: NDArray[np.int32]  # (C, K)
+    ready: NDArray[np.uint8]  # (C,)
+
+    @classmethod
+    def empty(cls, capacity: int, references: int, candidates: int) -> RowBuffer:
+        """Room for ``capacity`` rows; K is clipped to R."""
+        return cls(
+            rows=np.zeros((capacity, references), np.float32),
+            mean=np.zeros(capacity),
+            scale=np.zeros(capacity),
+            top=np.zeros((capacity, min(candidates, references)), np.int32),
+            ready=np.zeros(capacity, np.uint8),
+        )
+
+    def grown(self, capacity: int) -> RowBuffer:
+        """The same with more room."""
+        twin = self.empty(capacity, self.rows.shape[1], self.top.shape[1])
+        for field in fields(self):
+            old = getattr(self, field.name)
+            getattr(twin, field.name)[: len(old)] = old
+        return twin
+
+    def put(self, entry: int, row: NDArray[np.float32]) -> None:
+        """Store a row; what SIC needs of it is computed when it is first used."""
+        self.rows[entry] = row
+        self.ready[entry] = 0
+
+    def point(self, run: Any) -> None:
+        """Write the addresses to a RUN record."""
+        run["scores"] = self.rows.ctypes.data
+        for name in ("mean", "scale", "top", "ready"):
+            run[name] = getattr(self, name).ctypes.data
+        run["references"] = self.rows.shape[1]
+        run["candidates"] = self.top.shape[1]
+
+
+@inner
+def entry_of(run: Any, frame: int) -> int:
+    """Number of a frame's row: a bank's are in order, a live route's where they were put."""
+    if run.entries == 0:
+        entry: int = run.start + frame
+    else:
+        entry = carray(pointer(run.entries + frame * 8), (1,), np.int64)[0]
+    return entry
+
+
 @inner
 def row_at(run: Any, frame: int) -> Any:
     """Score row (R,) of a frame."""
     size = run.references
-    return carray(pointer(run.scores + (run.start + frame) * size * 4), (size,), np.float32)
+    return carray(pointer(run.scores + entry_of(run, frame) * size * 4), (size,), np.float32)
 
 
 @inner
 def mean_at(run: Any, frame: int) -> Any:
     """Mean of a frame's row."""
-    return carray(pointer(run.mean + (run.start + frame) * 8), (1,), np.float64)
+    return carray(pointer(run.mean + entry_of(run, frame) * 8), (1,), np.float64)
 
 
 @inner
 def scale_at(run: Any, frame: int) -> Any:
     """1/σ of a frame's row."""
-    return carray(pointer(run.scale + (run.start + frame) * 8), (1,), np.float64)
+    return carray(pointer(run.scale + entry_of(run, frame) * 8), (1,), np.float64)
 
 
 @inner
 def top_at(run: Any, frame: int) -> Any:
     """Candidates (K,) of a frame, ranked."""
     size = run.candidates
-    return carray(pointer(run.top + (run.start + frame) * size * 4), (size,), np.int32)
+    return carray(pointer(run.top + entry_of(run, frame) * size * 4), (size,), np.int32)
 
 
 @inner
 def ready_at(run: Any, frame: int) -> Any:
     """Whether the entries of a frame's row are filled."""
-    return carray(pointer(run.ready + (run.start + frame)), (1,), np.uint8)
+    return carray(pointer(run.ready + entry_of(run, frame)), (1,), np.uint8)
 
 
 @inner

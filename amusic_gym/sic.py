@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym._compile import apart, compiled, inner
-from amusic_gym.rows import RUN, mean_at, prepare, row_at, scale_at
+from amusic_gym.rows import RUN, RowBuffer, mean_at, prepare, row_at, scale_at
 from amusic_gym.settings import SICSettings
 
 RELATIVE_TIE = 1e-9
@@ -261,42 +261,26 @@ class Match(NamedTuple):
 class _History:
     """Rows of the frames so far and what the kernels need of them; room for C frames."""
 
-    rows: NDArray[np.float32]  # (C, R)
-    mean: NDArray[np.float64]  # (C,)
-    scale: NDArray[np.float64]  # (C,)
-    top: NDArray[np.int32]  # (C, K)
-    ready: NDArray[np.uint8]  # (C,)
+    buffer: RowBuffer
     ran: NDArray[np.uint8]  # (C,)
     prefix: NDArray[np.float64]  # (C + 1,) prefix weights
 
     @classmethod
     def empty(cls, capacity: int, references: int, candidates: int) -> _History:
         """Room for ``capacity`` frames."""
-        return cls(
-            rows=np.zeros((capacity, references), np.float32),
-            mean=np.zeros(capacity),
-            scale=np.zeros(capacity),
-            top=np.zeros((capacity, candidates), np.int32),
-            ready=np.zeros(capacity, np.uint8),
-            ran=np.zeros(capacity, np.uint8),
-            prefix=np.zeros(capacity + 1),
-        )
+        buffer = RowBuffer.empty(capacity, references, candidates)
+        return cls(buffer, np.zeros(capacity, np.uint8), np.zeros(capacity + 1))
 
     def grown(self) -> _History:
         """The same with twice the room."""
-        twin = self.empty(2 * len(self.rows), self.rows.shape[1], self.top.shape[1])
-        for name, array in vars(self).items():
-            getattr(twin, name)[: len(array)] = array
-        return twin
+        room = len(self.ran)
+        ran, prefix = np.pad(self.ran, (0, room)), np.pad(self.prefix, (0, room))
+        return _History(self.buffer.grown(2 * room), ran, prefix)
 
     def run(self) -> Any:
         """RUN record of these rows."""
         run = np.zeros(1, RUN)
-        for field in ("mean", "scale", "top", "ready"):
-            run[field] = getattr(self, field).ctypes.data
-        run["scores"] = self.rows.ctypes.data
-        run["references"] = self.rows.shape[1]
-        run["candidates"] = self.top.shape[1]
+        self.buffer.point(run)
         return run[0]
 
 
@@ -322,7 +306,7 @@ class SIC:
         self.settings = settings or SICSettings()
         self.references = references
         self.frame = -1
-        self._history = _History.empty(64, references, min(self.settings.candidates, references))
+        self._history = _History.empty(64, references, self.settings.candidates)
         self._sums: NDArray[np.float64] = np.zeros(references + SLACK)
         self._mark = np.zeros(1, SUMS)
         self._mark["last"] = -1
@@ -340,7 +324,7 @@ class SIC:
         """
         scores = self._checked(row)
         frame = self._advance()
-        self._history.rows[frame] = scores
+        self._history.buffer.put(frame, scores)
         self._history.ran[frame] = 1
         return self._match(frame)
 
@@ -349,7 +333,6 @@ class SIC:
         saved = (self.frame, self._sums.copy(), self._mark.copy())
         match = self.correct(row)
         self._history.ran[self.frame] = 0
-        self._history.ready[self.frame] = 0
         self.frame, self._sums, self._mark = saved
         return match
 
@@ -366,7 +349,7 @@ class SIC:
 
     def _advance(self) -> int:
         self.frame += 1
-        if self.frame >= len(self._history.rows):
+        if self.frame >= len(self._history.ran):
             self._history = self._history.grown()
         return self.frame
 
@@ -382,7 +365,7 @@ class SIC:
         prepare(run, frame)
         push(self._sums, mark, run, rows.ran, frame, history, gamma)
         self._weigh(frame)
-        top, prefix = rows.top[frame], rows.prefix
+        top, prefix = rows.buffer.top[frame], rows.prefix
         values, scratch = np.empty((2, top.size))
         score_candidates(
             self._sums, mark, top, prefix, frame, history, gamma, evidence, scratch, values

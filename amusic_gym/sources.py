@@ -1,4 +1,4 @@
-"""Where an environment's routes come from: given banks, or simulated ones."""
+"""Where an environment's routes come from: given banks, live routes, or simulated ones."""
 
 from __future__ import annotations
 
@@ -11,17 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.bank import COST_MODELS, ScoreBank
+from amusic_gym.live import LiveRoute
 from amusic_gym.names import suggest
 
 if TYPE_CHECKING:
     from amusic_gym.routes.simulate import Simulation
 
-BankLike = str | os.PathLike[str] | ScoreBank
+Recording = ScoreBank | LiveRoute
+"""What a route is driven on: scores that are there, or that are computed when asked for."""
+
+BankLike = str | os.PathLike[str] | Recording
 
 
 @runtime_checkable
 class RouteSource(Protocol):
-    """Gives an environment the bank of its next episode.
+    """Gives an environment the bank, or the live route, of its next episode.
 
     Attributes:
         techniques: names of the slots, or None when banks may differ in their techniques.
@@ -38,12 +42,12 @@ class RouteSource(Protocol):
         """Largest number of techniques."""
         ...
 
-    def sample(self, rng: np.random.Generator, index: int | None) -> tuple[ScoreBank, int]:
+    def sample(self, rng: np.random.Generator, index: int | None) -> tuple[Recording, int]:
         """Draw a bank and its number, or take the bank of number ``index``."""
         ...
 
 
-def columns_for(bank: ScoreBank, techniques: Sequence[str] | None, slots: int) -> NDArray[np.int64]:
+def columns_for(bank: Recording, techniques: Sequence[str] | None, slots: int) -> NDArray[np.int64]:
     """Technique of ``bank`` for each slot: aligned by name, or the bank's own order.
 
     Args:
@@ -75,7 +79,7 @@ class Banks:
     """A fixed list of banks, drawn uniformly.
 
     Args:
-        banks: folders or banks.
+        banks: folders of banks, banks or live routes.
         costs: cost model, see :meth:`amusic_gym.bank.ScoreBank.with_costs`.
         aligned: whether all banks must hold the same techniques.
 
@@ -91,8 +95,10 @@ class Banks:
             raise ValueError("no score bank given; give at least one folder or ScoreBank")
         if costs not in COST_MODELS:
             raise ValueError(suggest("cost model", costs, COST_MODELS))
-        loaded = [b if isinstance(b, ScoreBank) else ScoreBank.load(b) for b in banks]
-        self.banks = loaded if costs == "measured" else [b.with_costs(costs) for b in loaded]
+        loaded = [b if isinstance(b, Recording) else ScoreBank.load(b) for b in banks]
+        self.banks: list[Recording] = (
+            loaded if costs == "measured" else [b.with_costs(costs) for b in loaded]
+        )
         self._aligned = aligned
         if aligned:
             for bank in self.banks:
@@ -108,7 +114,7 @@ class Banks:
         """Largest number of techniques."""
         return max(len(bank.techniques) for bank in self.banks)
 
-    def sample(self, rng: np.random.Generator, index: int | None) -> tuple[ScoreBank, int]:
+    def sample(self, rng: np.random.Generator, index: int | None) -> tuple[Recording, int]:
         """Draw a bank, or take number ``index``.
 
         Raises:
@@ -193,7 +199,7 @@ def as_source(
     """
     if costs not in COST_MODELS:
         raise ValueError(suggest("cost model", costs, COST_MODELS))
-    if isinstance(bank, ScoreBank | str | os.PathLike):
+    if isinstance(bank, Recording | str | os.PathLike):
         bank = [bank]
     if isinstance(bank, Sequence):
         return Banks(bank, costs=costs, aligned=aligned)

@@ -19,18 +19,19 @@ from numpy.typing import ArrayLike, NDArray
 from amusic_gym.checks import flag, number, whole
 from amusic_gym.dynamics import Outcome
 from amusic_gym.episode import Episodes, Route
+from amusic_gym.live import ENDLESS
 from amusic_gym.names import suggest
 from amusic_gym.observation import bounds
 from amusic_gym.rewards import Reward, RewardInputs, as_reward
 from amusic_gym.settings import COVERAGE, SICSettings
-from amusic_gym.sources import BankLike, RouteSource, as_source, columns_for
+from amusic_gym.sources import BankLike, Recording, RouteSource, as_source, columns_for
 
 Infos = dict[str, Any]
 
 RESET_OPTIONS = ("bank", "start", "compute_weight")
-RENDER_MODES = ("ansi",)
+RENDER_MODES = ("ansi", "rgb_array", "human")
 RENDER_FPS = 10
-"""Gymnasium wants one, though a line of text has no pace."""
+"""Frames per second of videos, and the most that the window of "human" shows."""
 
 ROUTE_INFOS = (
     "frame",
@@ -47,21 +48,13 @@ TECHNIQUE_INFOS = ("ran", "place", "statistic", "correction")
 SELECTION_INFOS = ("tally", "selected", "late_runs")
 
 
-class UnknownRenderModeError(ValueError, TypeError):
-    """A render mode that there is not.
-
-    Also a TypeError: Stable-Baselines3's ``make_vec_env`` asks every environment for
-    ``rgb_array`` and goes on without it only after one.
-    """
-
-
 class Task:
     """Technique selection on a batch of N routes.
 
     Args:
         num_routes: N.
-        bank: folder, :class:`~amusic_gym.bank.ScoreBank`, list of these, a
-            :class:`~amusic_gym.sources.RouteSource`, or None for simulated routes.
+        bank: folder, :class:`~amusic_gym.bank.ScoreBank`, :class:`~amusic_gym.live.LiveRoute`,
+            list of these, a :class:`~amusic_gym.sources.RouteSource`, or None for simulated routes.
         statistic: SIC's statistic, ``"evidence"`` or ``"mean"``.
         candidates: K.
         history: F.
@@ -75,7 +68,8 @@ class Task:
         random_start: whether episodes begin anywhere on the route.
         costs: cost model of given banks: ``"measured"``, ``"paper"`` or ``"runs"``.
         reward: ``"estimated"``, ``"ground_truth"`` or a callable (:mod:`amusic_gym.rewards`).
-        render_mode: ``"ansi"`` or None.
+        render_mode: ``"ansi"`` (a line of text), ``"rgb_array"`` (a picture), ``"human"`` (a
+            window, which needs pygame) or None.
 
     Raises:
         ValueError: for any argument out of range, with the valid ones.
@@ -107,7 +101,7 @@ class Task:
             raise ValueError(suggest("environment argument", name, valid[:-1]))
         num_routes = whole("num_envs", num_routes, 1)
         if render_mode is not None and render_mode not in RENDER_MODES:
-            raise UnknownRenderModeError(suggest("render mode", render_mode, RENDER_MODES))
+            raise ValueError(suggest("render mode", render_mode, RENDER_MODES))
         self.settings = SICSettings(statistic, candidates, history, gamma)
         self.source = as_source(bank, costs=costs, aligned=slots is None)
         self.slots = self._count("slots", slots, least=self.source.slots) or self.source.slots
@@ -163,18 +157,29 @@ class Task:
         """
         given = self._options(options, i)
         bank, index = self.source.sample(rng, given.get("bank"))
-        start = given.get("start")
-        if start is None:
-            last = bank.queries - min(self.episode_length or 1, bank.queries)
-            start = int(rng.integers(last + 1)) if self.random_start else 0
-        if not 0 <= start < bank.queries:
-            raise ValueError(f"start is {start}; bank {bank.name!r} has {bank.queries} queries")
+        start = self._start(bank, rng, given.get("start"))
         weight = given.get("compute_weight")
         low, high = self.compute_weights if weight is None else self._weight_range(float(weight))
         if low < high:
             low = math.exp(rng.uniform(math.log(low), math.log(high)))
         columns = columns_for(bank, self.source.techniques, self.slots)
-        self.episodes.begin(i, Route(bank, start, bank.queries - start, columns, low, index))
+        frames = ENDLESS if bank.queries is None else bank.queries - start
+        self.episodes.begin(i, Route(bank, start, frames, columns, low, index))
+
+    def _start(self, bank: Recording, rng: np.random.Generator, start: int | None) -> int:
+        """Query of the first frame: the one given, a drawn one, or the first."""
+        if bank.queries is None:
+            if start:
+                raise ValueError(
+                    f"start is {start}; {bank.name!r} does not know its length and begins at 0"
+                )
+            return 0
+        if start is None:
+            last = bank.queries - min(self.episode_length or 1, bank.queries)
+            start = int(rng.integers(last + 1)) if self.random_start else 0
+        if not 0 <= start < bank.queries:
+            raise ValueError(f"start is {start}; bank {bank.name!r} has {bank.queries} queries")
+        return start
 
     @staticmethod
     def _options(options: Mapping[str, Any] | None, i: int) -> dict[str, Any]:
@@ -224,6 +229,9 @@ class Task:
         """
         out = self.episodes.step(active, actions)
         terms = self._terms(RewardInputs(out, self.compute_weight(), lambda: self.correct(out)))
+        if self.episodes.stepped is not active:  # a live route's source may have ended
+            kept = self.episodes.stepped
+            terms = {name: np.where(kept, term, 0.0) for name, term in terms.items()}
         rewards = np.where(active, sum(terms.values()), 0.0)
         terminated = active & self.episodes.finished()
         truncated = np.zeros_like(terminated)
@@ -257,9 +265,15 @@ class Task:
         correct = np.zeros(self.episodes.num_routes, np.bool_)
         for i, route in enumerate(self.episodes.routes):
             place = out.routes["prediction"][i : i + 1]
-            if route is not None and place >= 0:
-                frames = route.start + out.routes["frame"][i : i + 1]
-                correct[i] = route.bank.truth.correct(place, frames)[0]
+            if route is None or place < 0:
+                continue
+            if route.bank.truth is None:
+                raise ValueError(
+                    f"live route {route.bank.name!r} has no ground truth, which the reward asks"
+                    " for; give it ground_truth, or take reward='estimated'"
+                )
+            frames = route.start + out.routes["frame"][i : i + 1]
+            correct[i] = route.bank.truth.correct(place, frames)[0]
         return correct
 
     # --- infos ----------------------------------------------------------------------------------
@@ -297,8 +311,9 @@ class Task:
             for t, slot in zip(route.columns, slots, strict=True)
             if t >= 0 and slot["ran"]
         ]
+        length = "" if record["frames"] == ENDLESS else f"/{record['frames']}"
         return (
-            f"{route.bank.name} frame {record['frame'] + 1}/{record['frames']}:"
+            f"{route.bank.name} frame {record['frame'] + 1}{length}:"
             f" place {record['prediction']}, confidence {record['confidence']:.2f},"
             f" p {record['p_correct']:.2f}, ran {' + '.join(ran) or 'nothing'}"
         )

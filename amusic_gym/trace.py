@@ -11,6 +11,7 @@ import csv
 import io
 import os
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
-    from amusic_gym.bank import ScoreBank
+    from amusic_gym.sources import Recording
 
 CSV_COLUMNS = (
     "frame",
@@ -64,7 +65,7 @@ class Trace:
     @classmethod
     def join(
         cls,
-        bank: ScoreBank,
+        bank: Recording,
         *,
         predictions: ArrayLike,
         confidence: ArrayLike,
@@ -80,7 +81,15 @@ class Trace:
         """What a policy did on the whole of `bank`, with correctness and costs from the bank.
 
         Left out: `p_correct` is nan, `chosen` -1, `late_runs` 0 and `selections` False throughout.
+
+        Raises:
+            ValueError: for a live route whose length or ground truth is not known.
         """
+        if bank.truth is None or bank.queries is None:
+            raise ValueError(
+                f"live route {bank.name!r} has no ground truth, which a trace is measured with;"
+                " give it ground_truth, or use navigate and TraceWriter"
+            )
         per_frame, per_run = (bank.queries,), (bank.queries, len(bank.techniques))
         predicted = _typed("predictions", predictions, np.int64, per_frame)
         return cls(
@@ -164,19 +173,39 @@ class Trace:
         writer.writerow(CSV_COLUMNS)
         for frame in range(self.queries):
             estimate = float(self.p_correct[frame])
-            names = [n for n, on in zip(self.techniques, self.ran[frame], strict=True) if on]
             writer.writerow(
-                [
+                csv_line(
                     frame,
                     int(self.predictions[frame]),
-                    repr(float(self.confidence[frame])),
-                    "" if np.isnan(estimate) else repr(estimate),
-                    int(self.correct[frame]),
-                    "+".join(names),
+                    float(self.confidence[frame]),
+                    None if np.isnan(estimate) else estimate,
+                    bool(self.correct[frame]),
+                    [n for n, on in zip(self.techniques, self.ran[frame], strict=True) if on],
                     int(self.late_runs[frame].sum()),
-                ]
+                )
             )
         return write_whole(path, text.getvalue().encode())
+
+
+def csv_line(
+    frame: int,
+    prediction: int,
+    confidence: float,
+    p_correct: float | None,
+    correct: bool | None,
+    ran: Sequence[str],
+    late_runs: int,
+) -> list[int | str]:
+    """The values of `CSV_COLUMNS` of one frame; None, of what is not known, is empty."""
+    return [
+        frame,
+        prediction,
+        repr(confidence),
+        "" if p_correct is None else repr(p_correct),
+        "" if correct is None else int(correct),
+        "+".join(ran),
+        late_runs,
+    ]
 
 
 def write_whole(path: str | Path, content: bytes) -> Path:

@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.names import suggest
+from amusic_gym.pictures.viewer import Viewer, viewer_for
 from amusic_gym.task import RENDER_FPS, RENDER_MODES, Infos, Task, as_seed, masked
 
 Floats = NDArray[np.float64]
@@ -33,6 +34,8 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
         ValueError: for any argument out of range, with the valid ones.
     """
 
+    _viewer: Viewer | None = None  # closed even if the rest was never made
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -48,6 +51,7 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
         self.task = Task(num_envs, bank, **arguments)
         self.num_envs = num_envs
         self.render_mode = arguments.get("render_mode")
+        self._viewer = viewer_for(self.task.episodes, self.render_mode, RENDER_FPS)
         self.metadata = {
             "render_modes": list(RENDER_MODES),
             "render_fps": RENDER_FPS,
@@ -91,6 +95,8 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
                     self._generators[i] = seeding.np_random(single)[0]
                 self._begin(i, options)
         out = self.task.episodes.look()
+        if self._viewer is not None:
+            self._viewer.look()
         return out.observation, masked(self.task.infos(out), mask)
 
     def _begin(self, i: int, options: Mapping[str, Any] | None = None) -> None:
@@ -141,6 +147,8 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
         observation = out.observation
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
             observation, infos = self._restart(observation, infos)
+        if self._viewer is not None:
+            self._viewer.look()
         return observation, rewards, terminated, truncated, infos
 
     def _check_running(self) -> None:
@@ -172,11 +180,22 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
         }
         return np.where(ended[:, None], out.observation, observation), merged
 
-    def render(self) -> tuple[str, ...] | None:
-        """One line per route with ``render_mode="ansi"``."""
-        if self.render_mode is None:
-            return None
-        return tuple(self.task.describe(i) for i in range(self.num_envs))
+    def render(self) -> tuple[Any, ...] | None:
+        """What the single environment's ``render`` gives, for every route.
+
+        The window of ``"human"`` shows the first routes side by side, as many as can be read.
+        """
+        if self.render_mode == "rgb_array":
+            assert self._viewer is not None
+            return self._viewer.pictures()
+        if self.render_mode == "ansi":
+            return tuple(self.task.describe(i) for i in range(self.num_envs))
+        return None
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close the window, if there is one."""
+        if self._viewer is not None:
+            self._viewer.close()
 
 
 def _unmasked(infos: Infos) -> Infos:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+
 import golden
 import pytest
 from env_cases import random_bank
 
 from amusic_gym.bank import ScoreBank
+
+os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # windows of render_mode="human" go nowhere
 
 
 @pytest.fixture(scope="session")

@@ -126,6 +126,19 @@ def test_attributes_and_methods_reach_the_wrapped_environment():
     wrapped.close()
 
 
+def test_pictures_of_every_route_come_through():
+    wrapped = SB3VecEnv(native(2, render_mode="rgb_array"))
+    wrapped.reset()
+    pictures = wrapped.get_images()
+    assert len(pictures) == 2
+    assert pictures[0].dtype == np.uint8
+    assert pictures[0].shape == pictures[1].shape
+    tiled = wrapped.render()
+    assert tiled.shape[0] * tiled.shape[1] >= 2 * pictures[0].shape[0] * pictures[0].shape[1]
+    assert wrapped.metadata["render_fps"] > 0
+    wrapped.close()
+
+
 def test_evaluate_policy_and_vec_monitor_agree_with_the_episodes():
     bank = random_bank(4, queries=9)
     env = VecMonitor(SB3VecEnv(native(2, bank=bank, compute_weight=0.5)))

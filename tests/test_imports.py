@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-HEAVY = ("torch", "cv2", "stable_baselines3", "matplotlib", "numba", "scipy.stats")
+HEAVY = ("torch", "cv2", "pygame", "stable_baselines3", "matplotlib", "numba", "scipy.stats")
 OURS = {"amusic_gym", "baselines", "agents", "scripts", "tests"}
 
 # What each package may use of the others.
@@ -23,7 +23,7 @@ ALLOWED = {
 }
 
 # Inside amusic_gym: what a part must not use, because that part is built on it.
-ROLLOUT = {"rollout", "comparison"}
+ROLLOUT = {"rollout", "comparison", "navigation"}
 ENVS = {"env", "vector_env"} | ROLLOUT
 EPISODES = {"episode", "task", "dynamics"} | ENVS
 FORBIDDEN = {
@@ -33,6 +33,13 @@ FORBIDDEN = {
     "metrics": EPISODES,
     "routes": EPISODES,
     "techniques": EPISODES,
+    "extraction": EPISODES,
+    "threads": EPISODES | {"bank"},
+    "pictures": EPISODES,
+    "window": EPISODES,
+    "live": EPISODES | {"sources"},
+    "live_rows": EPISODES | {"sources"},
+    "navigation": ROLLOUT - {"navigation"},
     "dynamics": {"episode", "task"} | ENVS,
     "observation": {"episode", "task", "dynamics"} | ENVS,
     "episode": {"task"} | ENVS,

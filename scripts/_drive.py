@@ -1,0 +1,122 @@
+"""What navigate.py shows: a line per frame, pictures, and a summary however the drive ends."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from amusic_gym.live import LiveRoute
+from amusic_gym.navigation import Sighting
+from amusic_gym.pictures.sightings import Pictures
+from amusic_gym.routes.video import VideoWriter
+from amusic_gym.window import Window
+
+HEADER = f"{'frame':>6} {'place':>6} {'confidence':>10} {'p':>5} {'ms':>8}  techniques"
+
+
+class Journal:
+    """Prints sightings as they come, and the summary when it is left, by Ctrl-C too.
+
+    Args:
+        route: the route that is driven.
+        quiet: print the summary only.
+    """
+
+    def __init__(self, route: LiveRoute, *, quiet: bool = False) -> None:
+        """Nothing is printed yet."""
+        self.route = route
+        self.quiet = quiet
+        self.frames = 0
+        self.right = 0
+        self.milliseconds = 0.0
+        self.reading = 0.0
+        self.runs = np.zeros(len(route.techniques), np.int64)
+        self.run_milliseconds = np.zeros(len(route.techniques))
+
+    def write(self, sighting: Sighting) -> None:
+        """Count a frame and print its line."""
+        if not self.frames and not self.quiet:
+            print(HEADER if self.route.truth is None else f"{HEADER}  (!: wrong place)")
+        self.frames += 1
+        self.milliseconds += sighting.milliseconds
+        self.reading += sighting.read_milliseconds
+        self.runs += sighting.ran + sighting.late_runs
+        self.run_milliseconds += sighting.run_milliseconds
+        right = None
+        if self.route.truth is not None:
+            right = bool(self.route.truth.correct([sighting.prediction], [sighting.frame])[0])
+            self.right += right
+        if not self.quiet:
+            print(line(sighting, right), flush=True)
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.frames:
+            print("\n".join(["", *self.summary()]), flush=True)
+
+    def summary(self) -> list[str]:
+        """What the drive was like, in lines."""
+        whole = self.milliseconds + self.reading
+        lines = [
+            f"{self.frames} frames, {1000.0 * self.frames / whole:.1f} frames/s:"
+            f" {self.milliseconds / self.frames:.1f} ms per frame and"
+            f" {self.reading / self.frames:.1f} ms to get its image"
+        ]
+        if self.route.truth is not None:
+            lines.append(f"right places: {self.right / self.frames:.1%}")
+        lines.append(f"{'technique':<16} {'runs/frame':>10} {'ms/run':>8}")
+        for t, name in enumerate(self.route.techniques):
+            share = self.runs[t] / self.frames
+            mean = f"{self.run_milliseconds[t] / self.runs[t]:.1f}" if self.runs[t] else "-"
+            lines.append(f"{name:<16} {share:>10.2f} {mean:>8}")
+        return lines
+
+
+class Screen:
+    """Draws sightings into a video and a window, where there are any.
+
+    Leaving it finishes the video, by Ctrl-C too.
+    """
+
+    def __init__(
+        self, pictures: Pictures, video: VideoWriter | None, window: Window | None
+    ) -> None:
+        """Nothing is drawn yet."""
+        self.pictures = pictures
+        self.video = video
+        self.window = window
+
+    def show(self, sighting: Sighting) -> bool:
+        """Draw a frame; False once the user has closed the window."""
+        if self.video is None and self.window is None:
+            return True
+        picture = self.pictures.draw(sighting)
+        if self.video is not None:
+            self.video.write(picture)
+        if self.window is None:
+            return True
+        self.window.show(picture)
+        return not self.window.closed_by_user
+
+    def __enter__(self) -> Screen:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.video is not None:
+            self.video.close()
+
+
+def line(sighting: Sighting, right: bool | None) -> str:
+    """One frame; a wrong place is marked where the truth is known."""
+    p = "-" if sighting.p_correct is None else f"{sighting.p_correct:.2f}"
+    words = " + ".join(sighting.active) or "nothing"
+    late = int(sighting.late_runs.sum())
+    if sighting.selection:
+        words += f"  (selection, {late} late runs)"
+    place = str(sighting.prediction) if sighting.prediction >= 0 else "-"
+    mark = "!" if right is False else " "
+    return (
+        f"{sighting.frame:>6} {place:>6}{mark}{sighting.confidence:>10.2f} {p:>5}"
+        f" {sighting.milliseconds:>8.1f}  {words}"
+    )

@@ -1,0 +1,242 @@
+"""Recognise places live: run a policy on a folder of images, a video or a camera.
+
+Only what the policy activates is computed. POLICY: those of compare.py but the oracle. A query that
+is a number is a camera. The first techniques of a route are warmed up before its first frame.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import ExitStack, closing
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _cli import Parser, pairs, run
+from _contestants import contestants
+from _drive import Journal, Screen
+
+from amusic_gym.bank import ScoreBank
+from amusic_gym.checks import whole
+from amusic_gym.comparison import Contestant, check_weights
+from amusic_gym.extraction.cache import Cache
+from amusic_gym.extraction.map import DescribedMap, describe_map
+from amusic_gym.live import FrameSource, ImageSequence, LiveRoute
+from amusic_gym.navigation import Sighting, TraceWriter, navigate
+from amusic_gym.pictures.sightings import Pictures
+from amusic_gym.plots.labels import policy_label
+from amusic_gym.policy import Context
+from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.routes.image_truth import from_file
+from amusic_gym.routes.video import Camera, VideoFile, VideoWriter
+from amusic_gym.settings import STATISTICS, SICSettings
+from amusic_gym.task import RENDER_FPS
+from amusic_gym.techniques import Technique, make_technique
+from amusic_gym.window import Window
+
+COMPUTE_WEIGHT = 0.3
+"""λ of a trained selector where none is named: in the middle of what `compare.py` runs."""
+
+TOLERANCE = 2
+"""Places that count as one when matches are compared, where none is named."""
+
+WARM_UP = 2
+"""Frames of the map that the policy is run on before the drive."""
+
+
+def frames_of(query: str) -> FrameSource:
+    """The folder, video or camera of the command line."""
+    if query.isdecimal() and not Path(query).exists():
+        return Camera(int(query))
+    if Path(query).is_dir():
+        return ImageSequence(ImageFolder(query), Path(query).resolve().name)
+    return VideoFile(query)
+
+
+def techniques_of(args: argparse.Namespace) -> list[Technique]:
+    """The techniques of the command line, with their weights."""
+    weights = {name.casefold(): file for name, file in pairs(args.weights, "--weights").items()}
+    names = [name.strip() for name in args.techniques.split(",") if name.strip()]
+    made = [make_technique(name, weights.pop(name.casefold(), None)) for name in names]
+    if weights or not made:
+        raise ValueError(
+            f"--weights for {', '.join(weights) or 'nothing'}, but --techniques names"
+            f" {', '.join(names) or 'none'}; name each technique there"
+        )
+    return made
+
+
+def seconds_of(given: list[str], techniques: tuple[str, ...]) -> dict[int, float]:
+    """Declared seconds by the technique's index, of those that are given."""
+    folded = [name.casefold() for name in techniques]
+    found = {}
+    for name, text in pairs(given, "--seconds").items():
+        if name.casefold() not in folded:
+            raise ValueError(f"--seconds {name}={text}: techniques are {', '.join(techniques)}")
+        try:
+            found[folded.index(name.casefold())] = float(text)
+        except ValueError:
+            raise ValueError(f"--seconds {name}={text}: {text!r} is not a number") from None
+    return found
+
+
+def route_of(
+    args: argparse.Namespace, maps: list[DescribedMap], frames: FrameSource, places: ImageFolder
+) -> LiveRoute:
+    """The live route; costs that are not given are measured."""
+    options: dict[str, Any] = {"tolerance": args.tolerance, "places": places}
+    if args.ground_truth is not None:
+        if not isinstance(frames, ImageSequence):
+            raise ValueError("--ground-truth needs a --query whose length is known: a folder")
+        folder = frames.images
+        assert isinstance(folder, ImageFolder)
+        truth = from_file(args.ground_truth, places, folder, args.tolerance)
+        options["ground_truth"] = truth
+    given = seconds_of(args.seconds, tuple(one.technique.name for one in maps))
+    if len(given) == len(maps):
+        return LiveRoute(maps, frames, seconds=[given[t] for t in range(len(maps))], **options)
+    route = LiveRoute(maps, frames, **options)
+    if not given:
+        return route
+    seconds = [given.get(t, measured) for t, measured in enumerate(route.seconds)]
+    return LiveRoute(maps, frames, seconds=seconds, **options)
+
+
+def refuse_early(policy: Contestant, techniques: list[Technique], statistic: str) -> None:
+    """Let a wrong policy fail before the map is described, which can take long."""
+    names = [one.name for one in techniques]
+    stand_in = ScoreBank(
+        np.zeros((len(names), 1, 1), np.float32), names, np.ones(len(names)), tolerance=0
+    )
+    policy.make(Context.of(stand_in, statistic=statistic))
+
+
+def drive(policy: Contestant, route: LiveRoute, statistic: str, seed: int) -> Iterator[Sighting]:
+    """A drive with a fresh policy."""
+    made = policy.make(Context.of(route, statistic=statistic, seed=seed))
+    weight = policy.compute_weights[0]
+    return navigate(made, route, statistic=statistic, compute_weight=weight)
+
+
+def warm_up(policy: Contestant, route: LiveRoute, places: ImageFolder, statistic: str) -> None:
+    """Compile, load and run everything once, on images of the map."""
+    image = places[0]
+    for technique in range(len(route.techniques)):
+        route.run(technique, image, 0)
+    short = LiveRoute(
+        route.maps,
+        [image] * WARM_UP,
+        tolerance=route.tolerance,
+        seconds=route.seconds,
+        name=route.name,
+    )
+    for _ in drive(policy, short, statistic, seed=0):
+        pass
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Parse, describe the map, drive."""
+    args = _parser().parse_args(arguments)
+    statistic = args.statistic or SICSettings.statistic
+    policy = contestants(
+        [args.policy],
+        statistic=args.statistic,
+        compute_weights=check_weights([args.compute_weight]),
+    )[0]
+    if args.frames is not None:
+        whole("--frames", args.frames, 1)
+    techniques = techniques_of(args)
+    refuse_early(policy, techniques, statistic)
+    with ExitStack() as stack:
+        window = stack.enter_context(closing(_window())) if args.show else None
+        video = VideoWriter(args.video, RENDER_FPS) if args.video else None
+        frames = frames_of(args.query)
+        stack.callback(getattr(frames, "close", lambda: None))
+        places = ImageFolder(args.reference)
+        route = route_of(args, _maps(args, techniques, places, stack), frames, places)
+        warm_up(policy, route, places, statistic)
+        title = f"{route.name}, {policy_label(args.policy)}"
+        screen = stack.enter_context(Screen(Pictures(route, title), video, window))
+        trace = stack.enter_context(TraceWriter(args.trace, route)) if args.trace else None
+        journal = stack.enter_context(Journal(route, quiet=args.quiet))
+        for sighting in islice(drive(policy, route, statistic, args.seed), args.frames):
+            journal.write(sighting)
+            if trace is not None:
+                trace.write(sighting)
+            if not screen.show(sighting):
+                break
+
+
+def _maps(
+    args: argparse.Namespace, techniques: list[Technique], places: ImageFolder, stack: ExitStack
+) -> list[DescribedMap]:
+    """The map as each technique describes it, until ``stack`` is left."""
+    cache = stack.enter_context(Cache(args.cache))
+    return [
+        stack.enter_context(
+            closing(describe_map(places, one, cache=cache, progress=not args.quiet))
+        )
+        for one in techniques
+    ]
+
+
+def _window() -> Window:
+    try:
+        return Window("amusic-gym")
+    except ImportError as error:
+        raise ValueError(str(error)) from None
+
+
+def _parser() -> Parser:
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add = parser.add_argument
+    add("--reference", type=Path, required=True, metavar="DIR", help="images of the map, in order")
+    add("--query", required=True, metavar="DIR|VIDEO|CAMERA", help="folder, video file or number")
+    add("--policy", required=True, metavar="POLICY", help="what decides which techniques run")
+    add(
+        "--techniques",
+        default="hog,cohog,calc,netvlad",
+        metavar="A,B",
+        help="which there are (default: %(default)s)",
+    )
+    add("--weights", nargs="+", action="extend", default=[], metavar="NAME=FILE")
+    add(
+        "--seconds",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="NAME=S",
+        help="declared seconds of a run (default: measured before the first frame)",
+    )
+    add("--statistic", choices=STATISTICS, help=f"of SIC (default: {SICSettings.statistic})")
+    add(
+        "--compute-weight",
+        type=float,
+        default=COMPUTE_WEIGHT,
+        metavar="L",
+        help="λ of a trained selector (default: %(default)s)",
+    )
+    add(
+        "--tolerance",
+        type=int,
+        default=TOLERANCE,
+        metavar="N",
+        help="places to either side that count as the same (default: %(default)s)",
+    )
+    add("--ground-truth", type=Path, metavar="FILE", help="say which matches are right")
+    add("--cache", type=Path, metavar="DIR", help="where descriptors of the map are kept")
+    add("--trace", type=Path, metavar="FILE.csv", help="write a line per frame")
+    add("--video", type=Path, metavar="FILE.mp4|.avi", help="write the picture of every frame")
+    add(
+        "--show", action="store_true", help="show it in a window; closing the window ends the drive"
+    )
+    add("--frames", type=int, metavar="N", help="stop after so many")
+    add("--seed", type=int, default=0, metavar="S", help="for policies that draw (default: 0)")
+    add("--quiet", action="store_true", help="print the summary only")
+    return parser
+
+
+if __name__ == "__main__":
+    run(main)
