@@ -1,0 +1,190 @@
+"""NetVLAD's weights from files of several families, each with its own names, order and input.
+
+================================  ==========================================  ================
+family                            known by                                    flattened
+================================  ==========================================  ================
+ours (``save_netvlad``)           the metadata                                as the file says
+MATLAB (``Pitts30K_struct.mat``)  ``net.layers`` with NetVLAD as number 30    c·K + k
+PyTorch (``.pth.tar``,            ``pool.centroids``, ``pool.conv.weight``,   k·C + c
+Patch-NetVLAD)                    ``encoder.N``; maybe ``WPCA.0``
+================================  ==========================================  ================
+
+The whitening's columns are in the family's order, so an order goes with its whitening only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from amusic_gym.techniques.networks import NetVLADNetwork, NetVLADWidths, load_layers
+from amusic_gym.techniques.preparation import Preparation
+from amusic_gym.techniques.weight_files import WeightFile
+from amusic_gym.techniques.weight_readers import Arrays
+
+VGG16_LAYERS = ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21), (24, 26, 28))
+"""Numbers of VGG16's convolutions, by stage, in all families."""
+
+MATLAB_ANCHOR = "layers.30.weights.0"
+MATLAB_MEAN = "meta.normalization.averageImage"
+MATLAB_NAMES = {
+    "pool.assignment.weight": "layers.30.weights.0",
+    "pool.centroids": "layers.30.weights.1",
+    "whitening.weight": "layers.33.weights.0",
+    "whitening.bias": "layers.33.weights.1",
+}
+PYTORCH_ANCHOR = "pool.centroids"
+PYTORCH_NAMES = {
+    "pool.assignment.weight": "pool.conv.weight",
+    "pool.assignment.bias": "pool.conv.bias",
+    "pool.centroids": "pool.centroids",
+    "whitening.weight": "WPCA.0.weight",
+    "whitening.bias": "WPCA.0.bias",
+}
+
+PUBLIC_INPUT = Preparation(width=640, height=480, interpolation="cubic")
+"""Input for public weights; mean and deviation are ImageNet's, or the file's."""
+
+
+@dataclass(frozen=True)
+class _Family:
+    """How one family's file is read.
+
+    Attributes:
+        file: its arrays, in the shapes of our modules.
+        name: our layer's name -> the file's.
+        descriptor_major: the order of flattening.
+        preparation: what its input is.
+    """
+
+    file: WeightFile
+    name: Callable[[str], str]
+    descriptor_major: bool
+    preparation: Preparation
+
+
+def load_netvlad(file: WeightFile) -> tuple[NetVLADNetwork, Preparation]:
+    """The network with a file's weights, ready for use, and what is done to its images.
+
+    Raises:
+        ValueError: naming the first layer that is missing, of another shape, or not finite.
+    """
+    described = file.description("NetVLAD")
+    if described is not None:
+        widths, preparation = _read_description(file, described)
+        return _build(file, widths, str), preparation
+    family = _matlab(file) or _pytorch(file)
+    if family is None:
+        raise file.missing("NetVLAD", PYTORCH_ANCHOR)
+    return _build(family.file, _widths_of(family), family.name), family.preparation
+
+
+def _build(file: WeightFile, widths: NetVLADWidths, name: Callable[[str], str]) -> NetVLADNetwork:
+    with torch.device("meta"):
+        network = NetVLADNetwork(widths)
+    return load_layers(network, lambda ours, *shape: file.layer("NetVLAD", name(ours), *shape))
+
+
+def _read_description(
+    file: WeightFile, described: dict[str, Any]
+) -> tuple[NetVLADWidths, Preparation]:
+    try:
+        given = dict(described["widths"])
+        stages = tuple(tuple(stage) for stage in given.pop("stages"))
+        fields = dict(described["preparation"])
+        fields |= {name: tuple(fields[name]) for name in ("mean", "deviation")}
+        return NetVLADWidths(stages=stages, **given), Preparation(**fields)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"the metadata of {file.path} is damaged ({error}); copy the file again"
+        ) from None
+
+
+def _widths_of(family: _Family) -> NetVLADWidths:
+    """Sizes of the layers, from the arrays."""
+
+    def rows(ours: str, *shape: int | None) -> int:
+        return len(family.file.layer("NetVLAD", family.name(ours), None, *shape))
+
+    stages = tuple(
+        tuple(rows(f"backbone.{number}.weight", None, 3, 3) for number in stage)
+        for stage in VGG16_LAYERS
+    )
+    clusters = rows("pool.centroids", stages[-1][-1])
+    whitened = family.name("whitening.weight") in family.file.arrays
+    return NetVLADWidths(
+        stages=stages,
+        clusters=clusters,
+        whitened=rows("whitening.weight", clusters * stages[-1][-1]) if whitened else None,
+        assignment_bias=family.name("pool.assignment.bias") in family.file.arrays,
+        descriptor_major=family.descriptor_major,
+    )
+
+
+def _matlab(file: WeightFile) -> _Family | None:
+    """MatConvNet's layers: height, width, in, out; centres with the opposite sign."""
+    part = file.under(MATLAB_ANCHOR)
+    if part is None:
+        return None
+    shaped: Arrays = {}
+    for name, array in part.arrays.items():
+        if name in ("layers.30.weights.0", "layers.33.weights.0"):
+            shaped[name] = array.reshape(-1, array.shape[-1]).T  # (1, 1, in, out) -> (out, in)
+        elif name == "layers.30.weights.1":
+            shaped[name] = -array.reshape(-1, array.shape[-1]).T  # (C, K) -> (K, C)
+        elif name.endswith("weights.0") and array.ndim == 4:
+            shaped[name] = array.transpose(3, 2, 0, 1)  # (h, w, in, out) -> (out, in, h, w)
+        elif name.endswith("weights.1"):
+            shaped[name] = array
+    mean = _matlab_mean(part)
+    return _Family(
+        file=replace(part, arrays=shaped),
+        name=_matlab_name,
+        descriptor_major=True,
+        preparation=replace(PUBLIC_INPUT, mean=mean, deviation=(1.0, 1.0, 1.0)),
+    )
+
+
+def _matlab_name(ours: str) -> str:
+    if not ours.startswith("backbone"):
+        return MATLAB_NAMES.get(ours, ours)
+    _, number, part = ours.split(".")
+    return f"layers.{number}.weights.{'0' if part == 'weight' else '1'}"
+
+
+def _matlab_mean(file: WeightFile) -> tuple[float, float, float]:
+    """Mean colour: the first pixel of the average image, which has one colour throughout."""
+    image = file.arrays.get(MATLAB_MEAN, np.empty(0))
+    if image.size == 0 or image.size % 3 or not np.isfinite(image).all():
+        raise ValueError(
+            f"{file.path} has no mean colour ({MATLAB_MEAN} has shape {image.shape}), which "
+            "NetVLAD needs; download it again"
+        )
+    red, green, blue = (float(value) for value in image.reshape(-1, 3)[0])
+    return red, green, blue
+
+
+def _pytorch(file: WeightFile) -> _Family | None:
+    """State dictionaries of pytorch-NetVlad and, with whitening, of Patch-NetVLAD."""
+    part = file.under(PYTORCH_ANCHOR)
+    if part is None:
+        return None
+    arrays = {name: _without_pixels(name, array) for name, array in part.arrays.items()}
+    return _Family(
+        file=replace(part, arrays=arrays),
+        name=lambda ours: PYTORCH_NAMES.get(ours, ours.replace("backbone.", "encoder.")),
+        descriptor_major=False,
+        preparation=PUBLIC_INPUT,
+    )
+
+
+def _without_pixels(name: str, array: NDArray[Any]) -> NDArray[Any]:
+    """A 1×1 convolution's weights as a matrix, (out, in, 1, 1) -> (out, in)."""
+    if name.startswith(("pool", "WPCA")) and array.ndim == 4 and array.shape[2:] == (1, 1):
+        return array[:, :, 0, 0]
+    return array

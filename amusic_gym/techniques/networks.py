@@ -1,0 +1,239 @@
+"""The networks behind CALC and NetVLAD, as PyTorch modules. They learn, and describe, one image.
+
+An encoder takes a batch of prepared images and gives descriptors; what prepares an image is in
+:mod:`~amusic_gym.techniques.calc` and :mod:`~amusic_gym.techniques.netvlad`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TypeAlias, TypeVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional as F  # noqa: N812 (its usual name)
+
+Stages: TypeAlias = tuple[tuple[int, ...], ...]
+Network = TypeVar("Network", bound=nn.Module)
+
+VGG16_STAGES: Stages = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
+"""Channels of VGG16's convolutions; a 2×2 pooling halves the image between two stages."""
+
+COMPACT_STAGES: Stages = ((16, 16), (32, 32), (64, 64), (128, 128))
+"""Channels of a backbone small enough to ship."""
+
+WIDEST = 65536
+"""Largest size of a layer: a damaged file must not fill the memory."""
+
+
+class CALCEncoder(nn.Module):
+    """CALC's encoder (Merrill and Huang 2018, the network ``calc`` of their code).
+
+    Pooling rounds sizes up (ceil mode), as Caffe does, and PyTorch's response normalisation
+    divides alpha by the window's size, as Caffe's does too.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(1, 64, kernel_size=5, stride=2, padding=4)
+        self.conv2 = nn.Conv2d(64, 128, kernel_size=4, padding=2)
+        self.conv3 = nn.Conv2d(128, 4, kernel_size=3)
+        self.pool = nn.MaxPool2d(kernel_size=3, stride=2, ceil_mode=True)
+        self.norm = nn.LocalResponseNorm(size=5, alpha=1e-4, beta=0.75, k=1.0)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Descriptors, not yet of length 1.
+
+        Args:
+            images: (B, 1, 120, 160) grey, 0 to 1.
+
+        Returns:
+            (B, 1064) float32, none below 0.
+        """
+        first = self.norm(self.pool(torch.relu(self.conv1(images))))  # (B, 64, 31, 41)
+        second = self.norm(self.pool(torch.relu(self.conv2(first))))  # (B, 128, 16, 21)
+        return torch.relu(self.conv3(second)).flatten(1)  # (B, 4, 14, 19) -> (B, 1064)
+
+
+@dataclass(frozen=True)
+class NetVLADWidths:
+    """Sizes of a NetVLAD network; the defaults are those of the compact variant.
+
+    Attributes:
+        stages: output channels of each convolution, by stage.
+        clusters: K, the number of visual words.
+        whitened: P, the length of the whitened descriptor; None: no whitening, K·C values.
+        assignment_bias: whether the soft assignment has a bias.
+        descriptor_major: order in which the residuals (K, C) are flattened before the whitening:
+            False: c + k·C, as in PyTorch ports; True: k + c·K, as in the MATLAB original. The
+            whitening's columns are in this order, so it belongs to the weights.
+
+    Raises:
+        ValueError: for sizes that no network has.
+    """
+
+    stages: Stages = COMPACT_STAGES
+    clusters: int = 16
+    whitened: int | None = 256
+    assignment_bias: bool = False
+    descriptor_major: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse sizes that no network has."""
+        if not self.stages or not all(self.stages):
+            raise ValueError(f"stages are {self.stages!r}; give channels for each stage")
+        sizes = [*(width for stage in self.stages for width in stage), self.clusters]
+        for size in sizes if self.whitened is None else [*sizes, self.whitened]:
+            if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= WIDEST:
+                raise ValueError(f"a layer's size is {size!r}; give a whole number 1 to {WIDEST}")
+
+    @property
+    def channels(self) -> int:
+        """C, the length of a local descriptor."""
+        return self.stages[-1][-1]
+
+    @property
+    def flat(self) -> int:
+        """K·C, the length of all residuals."""
+        return self.clusters * self.channels
+
+
+def conv_layers(stages: Stages, batch_norm: bool = False) -> nn.Sequential:
+    """VGG-like backbone on RGB: 3×3 convolutions with ReLU, 2×2 max-pooling between stages.
+
+    Without batch normalisation its layers are numbered as VGG16's in torchvision. The last
+    convolution has no ReLU: NetVLAD aggregates conv5_3 as it is.
+    """
+    layers: list[nn.Module] = []
+    width_in = 3
+    for stage in stages:
+        for width in stage:
+            layers.append(nn.Conv2d(width_in, width, kernel_size=3, padding=1))
+            if batch_norm:
+                layers.append(nn.BatchNorm2d(width))
+            layers.append(nn.ReLU())
+            width_in = width
+        layers.append(nn.MaxPool2d(kernel_size=2))
+    return nn.Sequential(*layers[:-2])
+
+
+class NetVLADPooling(nn.Module):
+    """Residuals of local descriptors to K visual words, softly assigned (Arandjelović 2016, eq. 4).
+
+    Attributes:
+        assignment: linear layer C → K, the logits of the soft assignment.
+        centroids: (K, C).
+    """
+
+    def __init__(self, channels: int, clusters: int, bias: bool = False) -> None:
+        super().__init__()
+        self.assignment = nn.Linear(channels, clusters, bias=bias)
+        self.centroids = nn.Parameter(F.normalize(torch.randn(clusters, channels), dim=1))
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Residuals, of length 1 per word.
+
+        Args:
+            features: (B, C, h, w).
+
+        Returns:
+            (B, K, C).
+        """
+        local = F.normalize(features.flatten(2), dim=1).transpose(1, 2)  # (B, N, C)
+        shares = torch.softmax(self.assignment(local), dim=2).transpose(1, 2)  # (B, K, N)
+        sums = shares @ local - shares.sum(2, keepdim=True) * self.centroids  # (B, K, C)
+        return F.normalize(sums, dim=2)
+
+
+class NetVLADNetwork(nn.Module):
+    """Backbone, NetVLAD pooling and whitening.
+
+    Args:
+        widths: sizes of the layers.
+        batch_norm: for training only; :meth:`folded` takes it out again.
+    """
+
+    def __init__(
+        self,
+        widths: NetVLADWidths = NetVLADWidths(),
+        batch_norm: bool = False,  # noqa: B008
+    ) -> None:
+        super().__init__()
+        self.widths = widths
+        self.backbone = conv_layers(widths.stages, batch_norm)
+        self.pool = NetVLADPooling(widths.channels, widths.clusters, widths.assignment_bias)
+        self.whitening = None
+        if widths.whitened is not None:
+            self.whitening = nn.Linear(widths.flat, widths.whitened)
+
+    def aggregate(self, images: Tensor) -> Tensor:
+        """Descriptors before the whitening, of length 1: (B, 3, H, W) -> (B, K·C)."""
+        residuals = self.pool(self.backbone(images))  # (B, K, C)
+        if self.widths.descriptor_major:
+            residuals = residuals.transpose(1, 2)  # (B, C, K)
+        return F.normalize(residuals.flatten(1), dim=1)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Descriptors of length 1.
+
+        Args:
+            images: (B, 3, H, W) RGB, less the mean and divided by the deviation that belong to
+                the weights.
+
+        Returns:
+            (B, P), or (B, K·C) without whitening.
+        """
+        flat = self.aggregate(images)
+        if self.whitening is None:
+            return flat
+        return F.normalize(self.whitening(flat), dim=1)
+
+    def folded(self) -> NetVLADNetwork:
+        """A copy for use: batch normalisation merged into the convolutions before it."""
+        copy = NetVLADNetwork(self.widths)
+        copy.pool.load_state_dict(self.pool.state_dict())
+        if self.whitening is not None and copy.whitening is not None:
+            copy.whitening.load_state_dict(self.whitening.state_dict())
+        targets = [layer for layer in copy.backbone if isinstance(layer, nn.Conv2d)]
+        sources = [layer for layer in self.backbone if isinstance(layer, nn.Conv2d)]
+        norms = {
+            id(conv): norm
+            for conv, norm in pairwise(self.backbone)
+            if isinstance(norm, nn.BatchNorm2d)
+        }
+        with torch.no_grad():
+            for target, source in zip(targets, sources, strict=True):
+                _copy_conv(target, source, norms.get(id(source)))
+        return copy.eval()
+
+
+def load_layers(network: Network, layer: Callable[..., NDArray[np.float32]]) -> Network:
+    """Give a network its weights and make it ready for use: no gradients, no training mode.
+
+    Args:
+        network: best built on PyTorch's device ``meta``: no memory, no random numbers.
+        layer: name and shape of a layer -> its weights.
+    """
+    tensors = {
+        name: torch.from_numpy(layer(name, *tensor.shape))
+        for name, tensor in network.state_dict().items()
+    }
+    network.load_state_dict(tensors, assign=True)
+    # Colour channels innermost: PyTorch pools several times faster then.
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return network.requires_grad_(False).eval()
+
+
+def _copy_conv(target: nn.Conv2d, source: nn.Conv2d, norm: nn.BatchNorm2d | None) -> None:
+    target.load_state_dict(source.state_dict())
+    if norm is not None:
+        assert target.bias is not None
+        assert norm.running_var is not None
+        assert norm.running_mean is not None
+        scale = norm.weight / torch.sqrt(norm.running_var + norm.eps)
+        target.weight.mul_(scale[:, None, None, None])
+        target.bias.sub_(norm.running_mean).mul_(scale).add_(norm.bias)
