@@ -29,11 +29,20 @@ _njit: Any = njit  # its stubs know neither the cache nor the options without wr
 
 
 @cache
-def sources_digest() -> str:
-    """Digest of all files whose code ends up in compiled functions."""
+def sources_digest(*sources: str) -> str:
+    """Digest of all files whose code ends up in compiled functions: paths below this folder."""
     folder = Path(__file__).parent
-    text = b"".join((folder / name).read_bytes() for name in KERNEL_SOURCES)
+    text = b"".join((folder / name).read_bytes() for name in sources)
     return hashlib.sha256(text).hexdigest()
+
+
+def _cached(function: Function, sources: tuple[str, ...], **options: bool) -> Function:
+    """Numba's dispatcher of ``function``, whose cache is stale when one of ``sources`` changes."""
+    dispatcher = _njit(cache=True, error_model="numpy", **options)(function)
+    file = dispatcher._cache._cache_file
+    file._source_stamp = (file._source_stamp, sources_digest(*sources))
+    compiled_function: Function = dispatcher
+    return compiled_function
 
 
 def compiled(function: Function) -> Function:
@@ -42,11 +51,17 @@ def compiled(function: Function) -> Function:
     Numba watches only the file of the cached function itself, but machine code holds that of its
     callees too: without the digest, a change in one kernel file would leave another's stale.
     """
-    dispatcher = _njit(cache=True, error_model="numpy")(function)
-    file = dispatcher._cache._cache_file
-    file._source_stamp = (file._source_stamp, sources_digest())
-    compiled_function: Function = dispatcher
-    return compiled_function
+    return _cached(function, KERNEL_SOURCES)
+
+
+def standalone(*sources: str) -> Callable[[Function], Function]:
+    """As :func:`compiled`, for a kernel apart from the environment's; it runs without the GIL.
+
+    Args:
+        sources: further files, below this folder, whose code ends up in it. So a change in the
+            environment's kernels does not make it compile again, nor the other way round.
+    """
+    return lambda function: _cached(function, (Path(__file__).name, *sources), nogil=True)
 
 
 def inner(function: Function) -> Function:

@@ -1,0 +1,67 @@
+"""The loops over pixels of CoHOG's description, compiled."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from amusic_gym._compile import standalone
+
+RADIUS = 5
+"""Of the disk around a pixel: all pixels at most so far away, centre to centre."""
+
+
+@standalone()
+def local_entropy(grey: Any, entropy: Any) -> None:
+    """Entropy in bits of the grey values within ``RADIUS`` of each pixel and inside the image.
+
+    Args:
+        grey: (H, W) uint8.
+        entropy: (H, W) float64, to fill.
+    """
+    height, width = grey.shape
+    reach = np.zeros(RADIUS + 1, np.int64)  # how far the disk goes sideways, per row from its own
+    for row in range(RADIUS + 1):
+        reach[row] = int(np.sqrt(RADIUS**2 - row**2))
+    terms = np.zeros((2 * RADIUS + 1) ** 2 + 1)  # n log2 n
+    for n in range(2, terms.size):
+        terms[n] = n * np.log2(n)
+    counts = np.zeros(256, np.int64)
+    for y in range(height):
+        top, bottom = max(0, y - RADIUS), min(height, y + RADIUS + 1)
+        for x in range(width):
+            pixels = 0
+            total = 0.0  # sum of n log2 n over the grey values seen so far, n times each
+            for row in range(top, bottom):
+                side = reach[abs(row - y)]
+                for column in range(max(0, x - side), min(width, x + side + 1)):
+                    value = grey[row, column]
+                    total += terms[counts[value] + 1] - terms[counts[value]]
+                    counts[value] += 1
+                    pixels += 1
+            entropy[y, x] = np.log2(pixels) - total / pixels
+            for row in range(top, bottom):
+                side = reach[abs(row - y)]
+                for column in range(max(0, x - side), min(width, x + side + 1)):
+                    counts[grey[row, column]] = 0
+
+
+@standalone()
+def add_directions(strength: Any, turn: Any, cells: Any) -> None:
+    """Share each pixel's strength between the two bins that are next to its direction.
+
+    Args:
+        strength: (H, W) float32.
+        turn: (H, W) float32, its direction in bins: 0 to B, both ends the same.
+        cells: (R, B, C) float64 to add to: row of cells, bin, column. H / R pixels make a cell.
+    """
+    rows, bins, columns = cells.shape
+    height, width = strength.shape[0] // rows, strength.shape[1] // columns
+    for y in range(strength.shape[0]):
+        cell_row = cells[y // height]
+        for x in range(strength.shape[1]):
+            lower = int(turn[y, x])
+            upper_part = (turn[y, x] - lower) * strength[y, x]
+            cell_row[lower % bins, x // width] += strength[y, x] - upper_part
+            cell_row[(lower + 1) % bins, x // width] += upper_part
