@@ -17,9 +17,13 @@ from amusic_gym.plots import labels
 from amusic_gym.trace import write_whole
 
 
+PICTURES = {b"\x89PNG\r\n": "png", b"\xff\xd8\xff": "jpeg"}
+"""First bytes of a figure's file -> its type."""
+
+
 @dataclass(frozen=True)
 class ReportFigure:
-    """A PNG file and the sentence under it, which is also its text for who cannot see it."""
+    """A PNG or JPEG file and the sentence under it, which is also its text for who cannot see it."""
 
     path: str | Path
     caption: str
@@ -132,12 +136,13 @@ def _figure(figure: ReportFigure) -> str:
     if not path.is_file():
         raise FileNotFoundError(f"figure {path} is not there; draw it before the report")
     content = path.read_bytes()
-    if not content.startswith(b"\x89PNG\r\n"):
-        raise ValueError(f"figure {path} is no PNG file; give one that amusic_gym.plots wrote")
+    kind = next((name for magic, name in PICTURES.items() if content.startswith(magic)), None)
+    if kind is None:
+        raise ValueError(f"figure {path} is no PNG or JPEG file; write it as one of these")
     image = base64.b64encode(content).decode()
     words = escape(figure.caption)
     return (
-        f'<figure><img src="data:image/png;base64,{image}" alt="{words}">'
+        f'<figure><img src="data:image/{kind};base64,{image}" alt="{words}">'
         f"<figcaption>{words}</figcaption></figure>"
     )
 

@@ -81,3 +81,23 @@ def expected(
     constant, by_statistic, by_margin = calibration
     logit = constant + by_statistic * math.asinh(confidence) + by_margin * math.asinh(margin)
     return Expected(place, confidence, technique, 1.0 / (1.0 + math.exp(-logit)))
+
+
+COHOG_CELLS, COHOG_BINS = 32, 8
+COHOG_OPERATIONS = 2.0 * COHOG_CELLS**4 * COHOG_BINS
+"""Multiplications and additions of all pairs of cells: what our matching cannot do without."""
+
+
+def cohog_regions(descriptor: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(961, 32) regions of a CoHOG descriptor, each of length 1; zeros where its weight is 0."""
+    cells = descriptor[:, :COHOG_BINS].transpose(0, 2, 1)  # (row, column, bin)
+    corners = [cells[i : i + 31, j : j + 31] for i in (0, 1) for j in (0, 1)]
+    regions = np.concatenate(corners, axis=2).reshape(961, 32)
+    regions = regions * (descriptor[:31, COHOG_BINS, :31].reshape(961, 1) > 0)
+    lengths = np.linalg.norm(regions, axis=1, keepdims=True)
+    return np.asarray(regions / np.where(lengths > 0, lengths, 1), np.float32)
+
+
+def match_regions(interest: NDArray[np.float32], place: NDArray[np.float32]) -> float:
+    """CoHOG's score: mean over the regions of interest of the best dot product with any region."""
+    return float((interest @ place.T).max(axis=1).mean())

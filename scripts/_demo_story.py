@@ -20,7 +20,7 @@ def find(rows: Sequence[Row], policy: str) -> Row:
 
 
 def held_out(mean: Sequence[Row], routes: int) -> list[str]:
-    """The selector against A-MuSIC, MuSIC and the fixed subsets on the held-out routes."""
+    """The selector against A-MuSIC, MuSIC and the fixed subsets on the rendered routes."""
     amusic, music = find(mean, "amusic"), find(mean, "music")
     cheap = best_within(mean, "ppo:", amusic["compute"])
     lines = []
@@ -28,7 +28,7 @@ def held_out(mean: Sequence[Row], routes: int) -> list[str]:
         subset = best_within(mean, "s", amusic["compute"])  # single: and subset:
         rival = "no fixed subset is that cheap" if subset is None else _against(subset)
         lines.append(
-            f"At no more compute than A-MuSIC, on {routes} simulated routes that no training saw:"
+            f"At no more compute than A-MuSIC, on {routes} rendered routes that no training saw:"
             f" the trained selector, at the best of its compute weights, reaches AUC"
             f" {cheap['auc']:.3f} at {cheap['compute']:.0%} of the compute of all techniques;"
             f" {rival}; A-MuSIC itself {amusic['auc']:.3f} at {amusic['compute']:.0%}."

@@ -69,6 +69,16 @@ def interleave(ours: Side, theirs: Side, rounds: int) -> Medians:
     return Medians(*(statistics.median(kept) for kept in samples))
 
 
+def alone(work: Callable[[], object], rounds: int) -> float:
+    """Median seconds of a call, after one that is not counted."""
+    samples = []
+    for _ in range(rounds + 1):
+        start = time.perf_counter()
+        work()
+        samples.append(time.perf_counter() - start)
+    return statistics.median(samples[1:])
+
+
 def readable(seconds: float) -> str:
     """A duration with three digits and its unit."""
     for factor, unit in ((1.0, "s"), (1e3, "ms"), (1e6, "µs")):

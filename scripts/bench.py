@@ -1,4 +1,4 @@
-"""Measure the speed as ratios, both sides in one run; print a table and write one JSON object.
+"""Measure the speed, as ratios of two sides in one run; print a table and write a JSON object.
 
     python scripts/bench.py --out FILE.json
 
@@ -12,6 +12,11 @@ sides take turns, after one warm-up, on one thread; each figure is a median.
 | single_env_vs_cartpole | steps/s of the unwrapped single env / unwrapped CartPole | more |
 | ppo_vs_constant_env | wall time of PPO on the env / on one that returns constants | near 1 |
 | sic_share_of_limit | bytes/s of the accumulator's row add / of a plain stream | near 1 |
+| cohog_match_vs_numpy | CoHOG's matching with one place: time of a NumPy loop / ours | more |
+| cohog_match_share_of_limit | time of the bare matrix product of the cells / ours | near 1 |
+
+And what a robot waits for, which is this machine's: TECHNIQUE_describe_ms, live_overhead_ms (per
+frame, beyond the techniques that ran) and live_hog_frames_per_second.
 """
 
 from __future__ import annotations
@@ -34,6 +39,7 @@ from _cli import Parser, run  # noqa: E402  (after the line above, which NumPy r
 import _bench_reference as reference  # noqa: E402
 import gymnasium as gym  # noqa: E402
 import numpy as np  # noqa: E402
+from _bench_images import QUICK_IMAGES, ImageSizes, measure_images  # noqa: E402
 from _bench_kernels import push_routes, stream  # noqa: E402
 from _bench_material import QUICK, Corrections, Material, Sizes, same  # noqa: E402
 
@@ -272,13 +278,19 @@ def main() -> None:
     )
     print(inspect.getsource(reference.gather))
     material = Material(sizes)
-    ratios = {}
+    measures = {}
     for name, measure in MEASUREMENTS.items():
         measured = measure(material)
-        ratios[name] = measured.ratio
+        measures[name] = measured.ratio
         print(_line(name, measured), flush=True)
+
+    def report(name: str, value: float, sentence: str) -> None:
+        measures[name] = value
+        print(f"{name:30} {value:9.3g}   {sentence}", flush=True)
+
+    measure_images(QUICK_IMAGES if args.quick else ImageSizes(), report)
     args.out.parent.mkdir(parents=True, exist_ok=True)
-    args.out.write_text(json.dumps(ratios, indent=1) + "\n", encoding="utf-8")
+    args.out.write_text(json.dumps(measures, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""The main job in one go: simulate routes, train a selector, compare it, write a page.
+"""The main job in one go: from images to a trained selector, a comparison and a page.
 
-The training routes are drawn while training; the routes it is compared on have other seeds. With
-the variable AMUSIC_DATA the real Corridor recording is added, with --bank your own.
+It renders routes under several conditions, runs the techniques on them, trains a selector on
+simulated routes, and compares it on the rendered ones, which no training saw. With the variable
+AMUSIC_DATA the real Corridor recording is added, with --bank your own.
 """
 
 from __future__ import annotations
@@ -12,13 +13,13 @@ import warnings
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 from _cli import Parser, run
 from _contestants import contestants
 
 from agents.config import TrainingConfig
 from agents.frozen import Frozen
 from agents.run_folder import CHECKPOINT
+from agents.selector import load_selector
 from agents.training import train
 from amusic_gym.bank import ScoreBank
 from amusic_gym.comparison import Comparison, all_subsets, compare, draw, table
@@ -27,13 +28,13 @@ from amusic_gym.metrics import mean_rows, summarise
 from amusic_gym.plots import front
 from amusic_gym.report import ReportFigure, write_report
 from amusic_gym.rollout import rollout
-from amusic_gym.routes.simulate import planted, simulate
+from amusic_gym.routes.simulate import planted
 from amusic_gym.settings import SICSettings
 
+import _demo_images as images  # isort: skip
 import _demo_story as story  # isort: skip
+from _demo_drive import drive  # isort: skip
 
-HELD_OUT = 6
-HELD_OUT_SEED = 3_000
 PLANTED_SEED = 3_100
 PLANTED = "planted"
 REAL = ("HOG", "CALC", "CoHOG", "NetVLAD")
@@ -48,33 +49,14 @@ def say(text: str) -> None:
     print(f"[{time.monotonic() - _begun:4.0f} s] {text}", flush=True)
 
 
-def by_cost(bank: ScoreBank, name: str) -> ScoreBank:
-    """The route with its techniques called T1, T2, … from the cheapest to the dearest.
-
-    Simulated techniques have no names that mean the same on every route; their ranks do, and make
-    the mean of a fixed subset over routes a policy that one could run.
-    """
-    order = np.argsort(bank.seconds, kind="stable")
-    return ScoreBank(
-        bank.scores[order],
-        [f"T{rank + 1}" for rank in range(order.size)],
-        bank.seconds[order],
-        tolerance=bank.tolerance,
-        ground_truth=bank.truth,
-        name=name,
-        source=bank.source,
-    )
-
-
-def routes(given: list[Path]) -> tuple[list[ScoreBank], list[ScoreBank]]:
-    """Simulated routes that no training draws, and other recordings."""
-    simulated = [by_cost(simulate(HELD_OUT_SEED + i), f"held-out-{i + 1}") for i in range(HELD_OUT)]
+def others(given: list[Path]) -> list[ScoreBank]:
+    """The simulated route whose good technique changes, and recordings."""
     changing = planted(PLANTED_SEED)
     changing.name = PLANTED
-    others = [changing]
+    banks = [changing]
     if folder := os.environ.get("AMUSIC_DATA"):
-        others.append(from_recording(Path(folder) / "corridor", REAL))
-    return simulated, [*others, *(ScoreBank.load(bank) for bank in given)]
+        banks.append(from_recording(Path(folder) / "corridor", REAL))
+    return [*banks, *(ScoreBank.load(bank) for bank in given)]
 
 
 def freeze(comparison: Comparison) -> str:
@@ -95,7 +77,7 @@ def freeze(comparison: Comparison) -> str:
 
 
 def main() -> None:
-    """Parse, simulate, train, compare, tell."""
+    """Parse, render, extract, train, compare, tell."""
     parser = Parser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder to write")
     parser.add_argument("--bank", nargs="+", action="extend", type=Path, default=[], help="yours")
@@ -103,12 +85,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the training")
     given = parser.parse_args()
 
-    say("simulating routes to compare on")
-    simulated, others = routes(given.bank)
-    for bank in simulated:
-        bank.save(given.out / "banks" / bank.name)
+    rendered = images.rendered_banks(given.out, say)
 
-    say(f"training a selector on {given.timesteps} frames of other simulated routes")
+    say(f"training a selector on {given.timesteps} frames of simulated routes")
     run_folder = given.out / "run"
     config = TrainingConfig(timesteps=given.timesteps, seed=given.seed)
     train(run_folder, config, resume=(run_folder / CHECKPOINT).exists())
@@ -119,17 +98,19 @@ def main() -> None:
         # Techniques that are never right are part of simulated routes, not a sign of bad input.
         warnings.filterwarnings("ignore", message=".*has no correct match")
         comparison = compare(
-            [*simulated, *others],
+            [*rendered, *others(given.bank)],
             lambda bank: contestants([*policies, *all_subsets(bank.techniques)]),
             given.out,
             statistic=SICSettings.statistic,
             report=partial(print, flush=True),
         )
-    tell(given.out, comparison, [bank.name for bank in simulated])
+    say("driving live along the first rendered route")
+    live = drive(given.out, load_selector(run_folder), rendered[0])
+    tell(given.out, comparison, [bank.name for bank in rendered], live)
     say(f"done: open {given.out / 'index.html'}")
 
 
-def tell(out: Path, comparison: Comparison, held_out: list[str]) -> None:
+def tell(out: Path, comparison: Comparison, held_out: list[str], live: Path) -> None:
     """Print the table and what it says, draw the figures, write the page."""
     mean = mean_rows([row for row in comparison.rows if row["bank"] in held_out])
     rest = list(dict.fromkeys(row["bank"] for row in comparison.rows))
@@ -142,9 +123,19 @@ def tell(out: Path, comparison: Comparison, held_out: list[str]) -> None:
     say("drawing")
     first = ReportFigure(
         front(mean, out / "front.png"),
-        f"AUC against compute, mean over the {len(held_out)} held-out routes.",
+        f"AUC against compute, mean over the {len(held_out)} rendered routes.",
     )
-    figures = [first, *draw(comparison, out)]
+    sheet = ReportFigure(
+        images.contact_sheet(out),
+        "Two places of each rendered route: as the map has them, and below as the two drives saw"
+        " them.",
+    )
+    moment = ReportFigure(
+        live,
+        "A moment of the selector's live drive (drive.mp4): what the camera sees, the place it is"
+        " taken for, what ran and how long that took.",
+    )
+    figures = [first, sheet, moment, *draw(comparison, out)]
     title = "A learned selector of place-recognition techniques"
     page_rows = [*mean, *comparison.rows]
     write_report(

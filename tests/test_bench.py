@@ -15,6 +15,14 @@ KEYS = {
     "single_env_vs_cartpole",
     "ppo_vs_constant_env",
     "sic_share_of_limit",
+    "hog_describe_ms",
+    "cohog_describe_ms",
+    "calc_describe_ms",
+    "netvlad_describe_ms",
+    "cohog_match_vs_numpy",
+    "cohog_match_share_of_limit",
+    "live_hog_frames_per_second",
+    "live_overhead_ms",
 }
 
 
@@ -23,7 +31,7 @@ def bench(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 
-def test_quick_bench_writes_finite_ratios(tmp_path):
+def test_quick_bench_writes_finite_numbers(tmp_path):
     out = tmp_path / "new" / "bench.json"
     done = bench("--quick", "--out", str(out))
     assert (done.returncode, done.stderr) == (0, "")

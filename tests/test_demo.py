@@ -23,7 +23,7 @@ def row(policy: str, auc: float, compute: float, weight: float | None = None) ->
 ROWS = [
     row("amusic", 0.80, 0.40),
     row("music", 0.90, 1.0),
-    row("single:A", 0.50, 0.10),
+    row("single:HOG", 0.50, 0.10),
     row("subset:A+B", 0.70, 0.30),
     row("subset:A+C", 0.85, 0.60),
     row("ppo:run", 0.88, 0.35, 0.2),
@@ -56,6 +56,8 @@ def test_story_of_a_recording_without_a_cheap_row_takes_the_cheapest(scripts):
 
 
 def test_demo_from_routes_to_page(scripts, monkeypatch, tmp_path, capsys):
+    import _demo_drive
+    import _demo_images
     import demo
 
     small = partial(
@@ -69,8 +71,11 @@ def test_demo_from_routes_to_page(scripts, monkeypatch, tmp_path, capsys):
     )
     routes = {"frames_per_regime": 20, "references": 100, "techniques": 2}
     monkeypatch.setattr(demo, "TrainingConfig", small)
-    monkeypatch.setattr(demo, "HELD_OUT", 2)
-    monkeypatch.setattr(demo, "simulate", partial(simulate, queries=40, techniques=2))
+    monkeypatch.setattr(_demo_images, "PLACES", 8)
+    monkeypatch.setattr(_demo_images, "TECHNIQUES", ("hog", "cohog"))
+    drives = [_demo_images.Drives("corridor", 1, ("day", "night"))]
+    monkeypatch.setattr(_demo_images, "DRIVES", drives)
+    monkeypatch.setattr(_demo_drive, "SHOWN", 3)
     monkeypatch.setattr(demo, "planted", partial(planted, **routes))
     monkeypatch.delenv("AMUSIC_DATA", raising=False)
     own = simulate(5, queries=30, techniques=3).save(tmp_path / "own")
@@ -78,12 +83,15 @@ def test_demo_from_routes_to_page(scripts, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(sys, "argv", ["demo.py", *arguments])
     demo.main()
     out = capsys.readouterr().out
-    assert "simulated routes that no training saw" in out or "Running every technique" in out
+    assert "rendered routes that no training saw" in out or "Running every technique" in out
     rows = json.loads((tmp_path / "out" / "results.json").read_text())["rows"]
-    assert {r["bank"] for r in rows} == {"held-out-1", "held-out-2", "planted", "simulated-5"}
-    assert {"amusic", "music", "cascade", "single:A", "random:0.3"} <= {r["policy"] for r in rows}
+    assert {r["bank"] for r in rows} == {"corridor-day", "corridor-night", "planted", "simulated-5"}
+    assert {"amusic", "music", "cascade", "single:HOG", "random:0.3"} <= {r["policy"] for r in rows}
     page = (tmp_path / "out" / "index.html").read_text()
     assert "data:image/png;base64" in page
+    assert "data:image/jpeg;base64" in page  # the contact sheet
+    assert (tmp_path / "out" / "drive.png").is_file()
+    assert (tmp_path / "out" / "drive.mp4").stat().st_size > 1000
     assert "http://" not in page  # self-contained: it loads nothing
     assert "https://" not in page
     assert (tmp_path / "out" / "run" / "selector.safetensors").is_file()

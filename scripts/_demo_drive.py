@@ -1,0 +1,67 @@
+"""The demo's live drive: the trained selector on the images of a rendered route."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, closing
+from pathlib import Path
+
+import _demo_images as rendered
+import cv2
+import numpy as np
+
+from amusic_gym.bank import ScoreBank
+from amusic_gym.extraction import Cache, describe_map
+from amusic_gym.live import LiveRoute
+from amusic_gym.navigation import navigate
+from amusic_gym.pictures.sightings import Pictures
+from amusic_gym.policy import Selector
+from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.routes.video import VideoWriter
+from amusic_gym.task import RENDER_FPS
+from amusic_gym.techniques import make_technique
+
+COMPUTE_WEIGHT = 0.3
+SHOWN = 60
+"""Frame of the drive that the page shows."""
+
+
+def drive(out: Path, selector: Selector, bank: ScoreBank) -> Path:
+    """Let the selector drive along the first rendered route, and film what it sees.
+
+    Args:
+        out: the demo's folder.
+        selector: the trained one.
+        bank: of the same images; gives the costs.
+
+    Returns:
+        The picture of one frame; beside it is the video, ``drive.mp4``.
+    """
+    images = out / "images" / rendered.DRIVES[0].kind
+    places, frames = (
+        ImageFolder(images / "reference"),
+        ImageFolder(images / rendered.DRIVES[0].conditions[0]),
+    )
+    with ExitStack() as stack:
+        cache = stack.enter_context(Cache(out / "cache"))
+        maps = [
+            stack.enter_context(closing(describe_map(places, make_technique(name), cache=cache)))
+            for name in rendered.TECHNIQUES
+        ]
+        route = LiveRoute(
+            maps,
+            frames,
+            tolerance=rendered.TOLERANCE,
+            seconds=bank.seconds,
+            name=bank.name,
+            places=places,
+            ground_truth=np.arange(len(frames)),
+        )
+        video = stack.enter_context(closing(VideoWriter(out / "drive.mp4", RENDER_FPS)))
+        pictures = Pictures(route, f"{bank.name}, learned selector")
+        path = out / "drive.png"
+        for sighting in navigate(selector, route, compute_weight=COMPUTE_WEIGHT):
+            picture = pictures.draw(sighting)
+            video.write(picture)
+            if sighting.frame == SHOWN:
+                path.write_bytes(cv2.imencode(".png", picture[:, :, ::-1])[1].tobytes())
+    return path
