@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import signal
 
 import golden
 import pytest
 from env_cases import random_bank
 
 from amusic_gym.bank import ScoreBank
+
+# A suite that a shell runs in the background ignores Ctrl-C, and so would the programs it tests.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # windows of render_mode="human" go nowhere
 

@@ -324,7 +324,7 @@ def test_report_refuses_what_it_cannot_show(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="draw it before the report"):
         report(tmp_path, figures=[ReportFigure(tmp_path / "none.png", "")])
     (tmp_path / "no.png").write_bytes(b"GIF89a")
-    with pytest.raises(ValueError, match="is no PNG file"):
+    with pytest.raises(ValueError, match="is no PNG or JPEG file"):
         report(tmp_path, figures=[ReportFigure(tmp_path / "no.png", "")])
     with pytest.raises(ValueError, match="rows is empty"):
         report(tmp_path, rows=[])

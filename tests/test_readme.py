@@ -95,7 +95,7 @@ def test_command_exists(command: str) -> None:
     "command",
     [
         "python scripts/nothing.py --out X",
-        "python scripts/bank.py images --out X",
+        "python scripts/bank.py pictures --out X",
         "python scripts/bank.py simulate --seeds 1",
         "make nothing",
         "make setup NOTHING=1",
