@@ -22,6 +22,9 @@ _LEAST = {
     "batch_size": 2,  # PPO normalises the advantages of a batch
 }
 
+MOST_ROUTES = 65_536
+"""Routes side by side; more would take memory by the hundred gigabytes."""
+
 
 @dataclass(frozen=True)
 class TrainingConfig:
@@ -72,6 +75,8 @@ class TrainingConfig:
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
                 raise ValueError(f"{name} is {value!r}; give a whole number >= {least}")
+        if self.n_envs > MOST_ROUTES:
+            raise ValueError(f"n_envs is {self.n_envs}; give at most {MOST_ROUTES}")
         if not isinstance(self.seed, int) or not 0 <= self.seed <= HIGHEST_SEED:
             raise ValueError(f"seed is {self.seed!r}; give a whole number from 0 to {HIGHEST_SEED}")
         if self.rollout < 2:

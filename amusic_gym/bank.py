@@ -307,8 +307,10 @@ def check_names(techniques: Sequence[str], count: int | None = None) -> tuple[st
     if isinstance(techniques, str):
         raise ValueError(f"techniques is the text {techniques!r}; give a list of names")
     names = tuple(techniques)
-    if not names or (count is not None and len(names) != count):
-        raise ValueError(f"{len(names)} technique names for {count or 'some'} score matrices")
+    if not names:
+        raise ValueError("no technique; give at least one")
+    if count is not None and len(names) != count:
+        raise ValueError(f"{len(names)} technique names for {count} score matrices")
     for name in names:
         if not isinstance(name, str) or not name.strip():
             raise ValueError(f"technique name {name!r} is empty or not text; give it a name")

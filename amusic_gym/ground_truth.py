@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+LARGEST_TOLERANCE = 2**31 - 1
+"""Places; the compiled dynamics count no further."""
+
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
@@ -83,7 +86,7 @@ class GroundTruth:
         """
         middle = _integers(centres, "ground truth")
         _check_range(middle, -1, references, "true place")
-        reach = min(whole_number(tolerance, "tolerance", at_least=0), references)
+        reach = min(check_tolerance(tolerance), references)
         first = np.maximum(middle - reach, 0)
         last = np.minimum(middle + reach, references - 1)
         count = np.where(middle >= 0, last - first + 1, 0)
@@ -193,7 +196,7 @@ def resolve_ground_truth(
         ValueError: for ground truth of another shape or range, or a missing tolerance.
     """
     if tolerance is not None:
-        tolerance = whole_number(tolerance, "tolerance", at_least=0)
+        tolerance = check_tolerance(tolerance)
     if ground_truth is None:
         if queries > references:
             raise ValueError(
@@ -228,6 +231,18 @@ def whole_number(value: object, what: str, at_least: int) -> int:
             if number >= at_least:
                 return number
     raise ValueError(f"{what} is {value!r}; give a whole number of at least {at_least}")
+
+
+def check_tolerance(value: object) -> int:
+    """A tolerance in places as int.
+
+    Raises:
+        ValueError: for anything but a whole number from 0 to ``LARGEST_TOLERANCE``.
+    """
+    places = whole_number(value, "tolerance", at_least=0)
+    if places > LARGEST_TOLERANCE:
+        raise ValueError(f"tolerance is {places}; give at most {LARGEST_TOLERANCE} places")
+    return places
 
 
 def _check_shape(shape: tuple[int, ...], queries: int, references: int) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.bank import COST_MODELS, check_names, check_seconds, paper_seconds
 from amusic_gym.checks import flag
-from amusic_gym.ground_truth import GroundTruth, resolve_ground_truth, whole_number
+from amusic_gym.ground_truth import GroundTruth, check_tolerance, resolve_ground_truth
 from amusic_gym.names import suggest
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
 
@@ -180,11 +180,11 @@ class LiveRoute:
         charge_wall_time: charge a step with the seconds that its runs took, not with declared
             ones. Observations and rewards are then no longer repeatable.
         name: what to call the route; by default, the source's name.
-        places: the map's images, for pictures.
+        places: the map's R images, for pictures.
 
     Raises:
-        ValueError: for maps of different size, unusable names or costs, a source without a frame,
-            scores of the wrong shape, or NaN or infinite ones.
+        ValueError: for no map, maps or ``places`` of different size, unusable names or costs, a
+            source without a frame, scores of the wrong shape, or NaN or infinite ones.
 
     Attributes:
         techniques: T names.
@@ -209,11 +209,18 @@ class LiveRoute:
         places: Indexed | None = None,
     ) -> None:
         self.maps = tuple(maps)
+        if not self.maps:
+            raise ValueError("no map; give at least one")
         self.techniques = check_names([one.technique.name for one in self.maps])
         self.references = _references(self.maps)
         self.frames = as_frames(frames)
         self.queries = self.frames.length
         self.name = name or self.frames.name
+        if places is not None and len(places) != self.references:
+            raise ValueError(
+                f"live route {self.name!r}: {len(places)} images of a map of {self.references}"
+                " places; give places=, the images that the map was described from"
+            )
         self.places = places
         self.truth, self.tolerance = self._truth(ground_truth, tolerance)
         self.charge_wall_time = flag("charge_wall_time", charge_wall_time)
@@ -229,7 +236,7 @@ class LiveRoute:
         self, ground_truth: ArrayLike | GroundTruth | None, tolerance: int | None
     ) -> tuple[GroundTruth | None, int]:
         if ground_truth is None:
-            return None, whole_number(tolerance, "tolerance", at_least=0)
+            return None, check_tolerance(tolerance)
         if self.queries is None:
             raise ValueError(
                 f"live route {self.name!r}: ground truth for a source of unknown length; leave it"
@@ -296,12 +303,16 @@ class LiveRoute:
                 technique refuses; each names technique and frame.
         """
         one = self.maps[technique]
-        where = f"technique {self.techniques[technique]!r} at frame {frame} of {self.name!r}"
+        who = f"technique {self.techniques[technique]!r}"
+        where = f"{who} at frame {frame} of {self.name!r}"
+        own = np.array(image)  # a technique may draw on it; others and the picture need it as it is
         begin = time.perf_counter()
         try:
-            row = one.scores(one.describe_query(image))
+            row = one.scores(one.describe_query(own))
         except ValueError as error:
-            raise ValueError(f"{where}: {error}") from error
+            said = str(error)
+            rest = said.removeprefix(who) if said.startswith(who) else f": {said}"
+            raise ValueError(f"{where}{rest}") from error
         seconds = time.perf_counter() - begin
         return _checked(row, self.references, where), seconds
 

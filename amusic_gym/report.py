@@ -16,14 +16,13 @@ from typing import Any
 from amusic_gym.plots import labels
 from amusic_gym.trace import write_whole
 
-
 PICTURES = {b"\x89PNG\r\n": "png", b"\xff\xd8\xff": "jpeg"}
 """First bytes of a figure's file -> its type."""
 
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A PNG or JPEG file and the sentence under it, which is also its text for who cannot see it."""
+    """A PNG or JPEG file and the sentence under it, which stands for it where it cannot be seen."""
 
     path: str | Path
     caption: str

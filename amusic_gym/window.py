@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 INSTALL = 'pip install "amusic-gym[human]"'
 
+UNSEEN = ("dummy", "offscreen")
+"""Drivers of SDL whose windows nobody sees; it falls back to them where there is no display."""
+
 
 class Window:
     """Opens with the first picture. The user may close it; later pictures then go nowhere.
@@ -56,15 +59,23 @@ class Window:
         elif self.fps is not None:
             self._clock.tick(self.fps)
 
+    def check(self) -> None:
+        """Refuse now what :meth:`show` would refuse with the first picture.
+
+        Raises:
+            OSError: where no window can be opened.
+        """
+        pygame = _pygame()
+        if not pygame.display.get_init():
+            _begin(pygame)
+            pygame.display.quit()
+
     def _open(self, pygame: Any, size: tuple[int, int]) -> None:
+        _begin(pygame)
         try:
-            pygame.display.init()
             self._surface = pygame.display.set_mode(size)
         except pygame.error as error:
-            raise OSError(
-                f"no window can be opened here ({error}); ask for pictures without one "
-                "(render_mode='rgb_array'), or set SDL_VIDEODRIVER=dummy"
-            ) from error
+            raise _refusal(str(error)) from error
         pygame.display.set_caption(self.title)
         self._clock = pygame.time.Clock()
 
@@ -80,6 +91,24 @@ class Window:
     def __getstate__(self) -> dict[str, Any]:
         """All but the handles of the open window."""
         return self.__dict__ | {"_surface": None, "_clock": None}
+
+
+def _begin(pygame: Any) -> None:
+    """Begin with the display, unless nobody would see what is on it and nobody asked for that."""
+    try:
+        pygame.display.init()
+    except pygame.error as error:
+        raise _refusal(str(error)) from error
+    if pygame.display.get_driver() in UNSEEN and not os.environ.get("SDL_VIDEODRIVER"):
+        pygame.display.quit()
+        raise _refusal("no display")
+
+
+def _refusal(why: str) -> OSError:
+    return OSError(
+        f"no window can be opened here ({why}); ask for pictures without one "
+        "(render_mode='rgb_array', navigate.py --video), or set SDL_VIDEODRIVER=dummy"
+    )
 
 
 def _pygame() -> Any:

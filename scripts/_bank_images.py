@@ -10,9 +10,11 @@ from typing import Any
 
 from _cli import Parser, pairs
 
+from amusic_gym.checks import whole
 from amusic_gym.ground_truth import GroundTruth
 from amusic_gym.names import suggest
 
+_LEAST_SIZE = 16  # of a rendered image's sides, in pixels
 TRUTH_BY = ("index", "name", "position")
 
 
@@ -61,6 +63,7 @@ def render(args: argparse.Namespace) -> None:
     from amusic_gym.extraction.progress import Progress
     from amusic_gym.routes.rendered import SIZE, render_folders
 
+    size = SIZE if args.size is None else _size(args.size)
     conditions = list(dict.fromkeys(text.strip() for text in args.condition.split(",")))
     total = args.places * (1 + len(conditions))
     with Progress(True).bar("render", total, "images") as advance:
@@ -73,7 +76,7 @@ def render(args: argparse.Namespace) -> None:
             conditions,
             seed=args.seed,
             places=args.places,
-            size=SIZE if args.size is None else _size(args.size),
+            size=size,
             kind=args.kind,
             progress=one_more,
         )
@@ -85,6 +88,8 @@ def _size(text: str) -> tuple[int, int]:
     columns, times, rows = text.lower().partition("x")
     if not (times and columns.isdecimal() and rows.isdecimal()):
         raise ValueError(f"--size {text!r} is not of the form WIDTHxHEIGHT, e.g. 320x240")
+    if min(int(columns), int(rows)) < _LEAST_SIZE:
+        raise ValueError(f"--size {text}: give at least {_LEAST_SIZE}x{_LEAST_SIZE} pixels")
     return int(columns), int(rows)
 
 
@@ -157,8 +162,8 @@ def _dataset(args: argparse.Namespace) -> _Route:
     if args.root is None:
         raise ValueError(f"--dataset {args.dataset} needs --root DIR, where its folders are")
     counts = {
-        name: value
-        for name in ("images", "first", "step")
+        name: whole(f"--{name}", value, least)
+        for name, least in (("images", 1), ("first", 0), ("step", 1))
         if (value := getattr(args, name)) is not None
     }
     found = load_dataset(args.dataset, args.root, **counts)

@@ -3,12 +3,33 @@
 from __future__ import annotations
 
 import argparse
+import os
 import re
+import select
 import sys
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import TracebackType
 from typing import Any, NoReturn
+
+INTERRUPTED, READER_GONE = 130, 141  # as a shell counts a death by SIGINT and by SIGPIPE
+
+
+def _tell_interrupt() -> None:
+    print("interrupted; what was finished is kept", file=sys.stderr, flush=True)
+
+
+def _end(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """What nobody caught: a Ctrl-C while the modules are imported is no fault of theirs."""
+    if not issubclass(kind, KeyboardInterrupt):
+        sys.__excepthook__(kind, error, trace)
+        return
+    _tell_interrupt()
+    os._exit(INTERRUPTED)  # Python would kill itself by the signal
+
+
+sys.excepthook = _end  # scripts import this module before what takes long
 
 # `python scripts/NAME.py` works from any checkout, installed or not.
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -28,6 +49,18 @@ class Parser(argparse.ArgumentParser):
         """As argparse's; the options' names are remembered for suggestions."""
         self._options.update(name for name in names if name.startswith("--"))
         return super().add_argument(*names, **kwargs)
+
+    def parse_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:  # type: ignore[override]
+        """As argparse's; an empty word is refused: as a path it would be the current folder."""
+        words = sys.argv[1:] if args is None else list(args)
+        option = "an argument"
+        for word in words:
+            name, equals, value = word.partition("=")
+            if name in self._options:
+                option = name
+            if not word or (name in self._options and equals and not value):
+                self.error(f"{option} is empty; give a value")
+        return super().parse_args(words, namespace)
 
     def error(self, message: str) -> NoReturn:
         """Print one line on stderr and exit with status 2."""
@@ -50,18 +83,27 @@ def run(main: Callable[[], int | None]) -> NoReturn:
     """Run a script's ``main`` and exit.
 
     Exit status: what ``main`` returns, or 0; 2 for bad arguments or input, one line on stderr;
-    130 on Ctrl-C. Warnings are one line on stderr too.
+    130 on Ctrl-C; 141, and not a word, when who reads stdout has gone (``| head``). Warnings are
+    one line on stderr too.
     """
-    warnings.formatwarning = lambda message, *_, **__: (
-        f"warning: {' '.join(str(message).split())}\n"
-    )
+    warnings.formatwarning = _one_line
+    status: Any = 2
+    failure: Exception | None = None
     try:
         status = main() or 0
+    except SystemExit as ended:
+        status = ended.code
     except KeyboardInterrupt:
-        print("interrupted; what was finished is kept", file=sys.stderr)
-        status = 130
-    except (ValueError, OSError) as error:
-        print(f"{Path(sys.argv[0]).name}: {_sentence(error)}", file=sys.stderr)
+        _tell_interrupt()
+        status = INTERRUPTED
+    except (ValueError, OSError, MemoryError) as error:
+        failure = error
+    lost = _lost_output()
+    failure = failure or lost
+    if isinstance(failure, BrokenPipeError) and (lost is not None or _reader_gone()):
+        status = READER_GONE
+    elif failure is not None:
+        print(f"{Path(sys.argv[0]).name}: {_sentence(failure)}", file=sys.stderr)
         status = 2
     raise SystemExit(status)
 
@@ -83,12 +125,33 @@ def pairs(items: Sequence[str], what: str) -> dict[str, str]:
     return result
 
 
+def _lost_output() -> OSError | None:
+    """Why stdout takes no more, if so; what is left to be written is then thrown away."""
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError as error:
+        # Else Python complains when it writes the rest at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return error
+    return None
+
+
+def _reader_gone() -> bool:
+    """Whether stdout is a pipe that nobody reads, though nothing is left to be written to it."""
+    poll = select.poll()
+    poll.register(1, 0)  # errors are told whatever is asked for
+    return bool(poll.poll(0))
+
+
 def _one_line(message: Warning | str, *_: Any, **__: Any) -> str:
     return f"warning: {' '.join(str(message).split())}\n"
 
 
 def _sentence(error: Exception) -> str:
     text = str(error)
+    if isinstance(error, MemoryError):
+        return " ".join(f"not enough memory; ask for less. {text}".split())
     if isinstance(error, OSError) and error.strerror:
         text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
         if isinstance(error, NotADirectoryError | FileExistsError | PermissionError):

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
 import numpy as np
 
 from amusic_gym.live import LiveRoute
@@ -11,6 +16,54 @@ from amusic_gym.routes.video import VideoWriter
 from amusic_gym.window import Window
 
 HEADER = f"{'frame':>6} {'place':>6} {'confidence':>10} {'p':>5} {'ms':>8}  techniques"
+
+
+def check_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, str | None]) -> None:
+    """Refuse files that cannot be written, or that would replace what is read, before any work.
+
+    Args:
+        outputs: option -> the file that it writes; None: not given.
+        inputs: option -> what it reads.
+
+    Raises:
+        ValueError: naming the option and the mend.
+    """
+    taken = [(option, Path(path)) for option, path in inputs.items() if path is not None]
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        for other, used in taken:
+            if _same(path, used):
+                raise ValueError(
+                    f"{option} {path} is the file of {other} too and would replace it; give"
+                    " another file"
+                )
+        taken.append((option, path))
+        if path.is_dir():
+            raise ValueError(f"{option} {path} is a folder; give a file in it")
+        try:
+            _try_writing(path)
+        except OSError as error:
+            raise ValueError(
+                f"{option} {path} cannot be written ({error.strerror}); give another file"
+            ) from None
+
+
+def _same(one: Path, other: Path) -> bool:
+    if one.exists() and other.exists():
+        return one.samefile(other)  # links, and file systems that ignore case
+    return os.path.realpath(one) == os.path.realpath(other)
+
+
+def _try_writing(path: Path) -> None:
+    """Open ``path`` for writing, or a nameless file where its folder is or would be made."""
+    if path.exists():
+        if path.is_file():
+            path.open("ab").close()
+        return
+    folder = next(above for above in path.absolute().parents if above.exists())
+    with tempfile.TemporaryFile(dir=folder):
+        pass
 
 
 class Journal:

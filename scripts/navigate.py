@@ -1,28 +1,34 @@
 """Recognise places live: run a policy on a folder of images, a video or a camera.
 
 Only what the policy activates is computed. POLICY: those of compare.py but the oracle. A query that
-is a number is a camera. The first techniques of a route are warmed up before its first frame.
+is a number is a camera. Techniques and policy run once on images of the map before the drive, so
+that compiling and loading are not in the first frame's time.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from _cli import Parser, pairs, run  # first: Ctrl-C ends well from here on
+
+# isort: split
 import numpy as np
-from _cli import Parser, pairs, run
 from _contestants import contestants
-from _drive import Journal, Screen
+from _drive import Journal, Screen, check_outputs
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.checks import whole
 from amusic_gym.comparison import Contestant, check_weights
 from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.map import DescribedMap, describe_map
+from amusic_gym.ground_truth import check_tolerance
 from amusic_gym.live import FrameSource, ImageSequence, LiveRoute
 from amusic_gym.navigation import Sighting, TraceWriter, navigate
 from amusic_gym.pictures.sightings import Pictures
@@ -50,6 +56,8 @@ def frames_of(query: str) -> FrameSource:
     """The folder, video or camera of the command line."""
     if query.isdecimal() and not Path(query).exists():
         return Camera(int(query))
+    if re.fullmatch(r"-\d+", query) and not Path(query).exists():
+        raise ValueError(f"--query {query}: camera numbers are 0, 1, …")
     if Path(query).is_dir():
         return ImageSequence(ImageFolder(query), Path(query).resolve().name)
     return VideoFile(query)
@@ -136,6 +144,16 @@ def warm_up(policy: Contestant, route: LiveRoute, places: ImageFolder, statistic
         pass
 
 
+def check(args: argparse.Namespace) -> None:
+    """Refuse numbers out of range, and files that cannot be written or are read, at once."""
+    if args.frames is not None:
+        args.frames = min(whole("--frames", args.frames, 1), sys.maxsize)
+    whole("--seed", args.seed, 0)
+    check_tolerance(args.tolerance)
+    inputs = {"--query": args.query, "--ground-truth": args.ground_truth}
+    check_outputs({"--trace": args.trace, "--video": args.video}, inputs)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Parse, describe the map, drive."""
     args = _parser().parse_args(arguments)
@@ -145,8 +163,7 @@ def main(arguments: list[str] | None = None) -> None:
         statistic=args.statistic,
         compute_weights=check_weights([args.compute_weight]),
     )[0]
-    if args.frames is not None:
-        whole("--frames", args.frames, 1)
+    check(args)
     techniques = techniques_of(args)
     refuse_early(policy, techniques, statistic)
     with ExitStack() as stack:
@@ -184,9 +201,11 @@ def _maps(
 
 def _window() -> Window:
     try:
-        return Window("amusic-gym")
+        window = Window("amusic-gym")
     except ImportError as error:
         raise ValueError(str(error)) from None
+    window.check()
+    return window
 
 
 def _parser() -> Parser:
@@ -201,7 +220,14 @@ def _parser() -> Parser:
         metavar="A,B",
         help="which there are (default: %(default)s)",
     )
-    add("--weights", nargs="+", action="extend", default=[], metavar="NAME=FILE")
+    add(
+        "--weights",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="NAME=FILE",
+        help="weights of a learned technique (default: those that it ships with)",
+    )
     add(
         "--seconds",
         nargs="+",
@@ -223,9 +249,15 @@ def _parser() -> Parser:
         type=int,
         default=TOLERANCE,
         metavar="N",
-        help="places to either side that count as the same (default: %(default)s)",
+        help="how many places apart two matches may be and still count as the same place"
+        " (default: %(default)s); with --ground-truth also how far off a match is still right",
     )
-    add("--ground-truth", type=Path, metavar="FILE", help="say which matches are right")
+    add(
+        "--ground-truth",
+        type=Path,
+        metavar="FILE",
+        help="the true places: only with them are matches shown as right or wrong",
+    )
     add("--cache", type=Path, metavar="DIR", help="where descriptors of the map are kept")
     add("--trace", type=Path, metavar="FILE.csv", help="write a line per frame")
     add("--video", type=Path, metavar="FILE.mp4|.avi", help="write the picture of every frame")

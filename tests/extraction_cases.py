@@ -33,6 +33,35 @@ class Tiny(Technique):
         return grey / np.linalg.norm(grey)
 
 
+class Raising(Tiny):
+    """Raises ``error`` where ``at`` says: describe, describe_query, match or parameters."""
+
+    name = "Raising"
+
+    def __init__(self, error, at):
+        super().__init__()
+        self.error, self.at = error, at
+
+    def parameters(self):
+        return {"error": repr(self.error), "at": self.at, **self._give("parameters", {})}
+
+    def describe(self, image):
+        return self._give("describe", super().describe(image))
+
+    def describe_query(self, image):
+        return self._give("describe_query", super().describe(image))
+
+    def match(self, query, references):
+        return self._give("match", super().match(query, references))
+
+    def _give(self, at, value):
+        if at != self.at:
+            return value
+        if isinstance(self.error, BaseException):
+            raise self.error
+        return self.error(value)
+
+
 class TwoSided(Tiny):
     """Describes queries in another way, and in another shape."""
 
@@ -96,9 +125,10 @@ class Shard:
     def portable(self):
         return self
 
-    def run(self, technique):
+    def run(self, technique, advance=lambda done: None):
         if self.error:
             raise self.error[0](*self.error[1:])
+        advance(self.size)
         return np.full(2, technique.power * self.number, np.float32)
 
 

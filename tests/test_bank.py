@@ -169,7 +169,7 @@ def test_subset_refuses_unknown_repeated_and_no_names():
         bank.subset(["HGO"])
     with pytest.raises(ValueError, match="named twice"):
         bank.subset(["HOG", "HOG"])
-    with pytest.raises(ValueError, match="0 technique names"):
+    with pytest.raises(ValueError, match="no technique; give at least one"):
         bank.subset([])
 
 

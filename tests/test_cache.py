@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -84,6 +85,51 @@ def test_a_file_is_no_cache(tmp_path):
         Cache(tmp_path / "file" / "inner")
 
 
+@pytest.mark.parametrize("home", ["file", "file/inner"])
+def test_an_unusable_default_is_warned_of_and_done_without(tmp_path, monkeypatch, home):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / home))
+    with pytest.warns(UserWarning, match="file.*/amusic-gym cannot be written .*--cache") as said:
+        cache = Cache()
+    assert len(said) == 1
+    assert cache.is_temporary
+    assert np.array_equal(cache.put(KEY, ARRAY).array(), cache.get(KEY).array())
+    cache.close()
+
+
+def test_a_user_without_a_home_is_told_so(monkeypatch):
+    def unknown():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(cache_module.Path, "home", unknown)
+    with pytest.raises(ValueError, match="no home folder .* choose a folder for the cache"):
+        Cache()
+
+
+def test_a_folder_in_an_entrys_place_is_refused(tmp_path):
+    cache = Cache(tmp_path)
+    entry(cache).mkdir(parents=True)
+    with pytest.raises(OSError, match="entry is a folder, where a file should be; remove it"):
+        cache.get(KEY)
+
+
+def test_damaged_entries_are_warned_of_once_and_counted(tmp_path):
+    keys = [code.key_of(test=number) for number in range(3)]
+    with Cache(tmp_path) as cache:
+        for key in keys:
+            cache.put(key, ARRAY)
+            entry(cache, key).write_bytes(b"")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for few in (1, 3):
+            with Cache(tmp_path) as cache:
+                assert [cache.get(key) for key in keys[:few]] == [None] * few
+    said = [str(each.message) for each in caught]
+    assert ["is damaged" in each for each in said] == [True, True, False]
+    assert said[2] == f"3 entries of the cache {tmp_path} were damaged"
+
+
 def test_queries_share_the_maps_entries_where_they_are_described_alike():
     images = Images((), ("digest",))
     same, other = (Plan.of(technique, images, images) for technique in (Tiny(), TwoSided()))
@@ -109,6 +155,11 @@ def test_numpy_numbers_are_plain():
     assert code.identity(Good())["parameters"] == {"size": 3}
 
 
+def forget():
+    for each in (code._file_of, code._code_of, code._is_own):
+        each.cache_clear()
+
+
 @pytest.fixture
 def package(tmp_path, monkeypatch):
     """A package of the user's with a technique that imports a neighbour and a library."""
@@ -130,8 +181,7 @@ def package(tmp_path, monkeypatch):
     yield folder, technique
     for name in [name for name in sys.modules if name.startswith("users_package")]:
         del sys.modules[name]
-    code._file_of.cache_clear()
-    code._code_of.cache_clear()
+    forget()
 
 
 def test_the_code_is_that_of_the_class_and_of_what_it_imports(package):
@@ -150,6 +200,48 @@ def test_the_code_is_that_of_the_class_and_of_what_it_imports(package):
     assert second["code"] != first["code"]
     (folder / "mine.py").write_text((folder / "mine.py").read_text() + "# changed\n")
     assert now()["code"] != second["code"]
+
+
+def test_the_code_is_also_that_of_modules_of_ones_own(tmp_path, monkeypatch):
+    """Plain modules next to the technique's, also by way of others and of packages."""
+    files = {
+        "own_edit.py": "from amusic_gym.techniques import Technique\n"
+        "from own_helper import f\n"
+        "class Edit(Technique):\n"
+        "    name = 'Edit'\n"
+        "    def describe(self, image):\n"
+        "        import own_late\n",
+        "own_helper.py": "import own_package\ndef f(): pass\n",
+        "own_late.py": "import json, scipy\n",
+        "own_package/__init__.py": "from .inner import x\nfrom . import other\n",
+        "own_package/inner.py": "x = 1\n",
+        "own_package/other.py": "",
+        "own_unused.py": "",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    technique = importlib.import_module("own_edit").Edit()
+
+    def now():
+        forget()
+        return code.identity(technique)
+
+    try:
+        digest, libraries = now()["code"], now()["libraries"]
+        assert "scipy" in libraries
+        assert not [name for name in libraries if name.startswith(("own_", "json"))]
+        for name in files:
+            (tmp_path / name).write_text(files[name] + "# changed\n")
+            assert (now()["code"] == digest) == (name == "own_unused.py"), name
+            digest = now()["code"]
+        (tmp_path / "own_late.py").write_text("not Python")
+        assert now()["code"] != digest
+    finally:
+        for name in [name for name in sys.modules if name.startswith("own_")]:
+            del sys.modules[name]
+        forget()
 
 
 def test_the_libraries_are_those_that_the_code_imports(package):

@@ -107,7 +107,7 @@ def test_berlin_with_pairs_of_different_length_is_refused(tmp_path):
 def test_first_and_step_choose_among_more_images(tmp_path):
     for side in ("day_left", "night_right"):
         fill(tmp_path / "gardens_point" / side, 450)
-    with pytest.raises(ValueError, match=r"450 images, but the paper used 200; pass images=450"):
+    with pytest.raises(ValueError, match=r"paper used 200; pass images=450 \(--images 450\)"):
         load_dataset("night_right", tmp_path)
     route = load_dataset("night_right", tmp_path, first=30, step=2)
     assert len(route.reference) == len(route.query) == 200
@@ -137,7 +137,8 @@ def test_a_missing_folder_is_refused_with_the_layout_and_the_source(tmp_path):
     [
         ("night-right", {}, "unknown data set 'night-right': did you mean 'night_right'"),
         ("berlin", {"first": 0}, "first is 0, but berlin joins several folders; leave it out"),
-        ("st_lucia", {"step": 2}, "step is 2 without first; give first=0"),
+        ("st_lucia", {"step": 2}, r"step is 2 without first; give first=0 \(--first 0\)"),
+        ("st_lucia", {"step": 0}, "step is 0; give a whole number >= 1"),
         ("st_lucia", {"images": 0}, "images is 0; give a whole number >= 1"),
     ],
 )

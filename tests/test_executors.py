@@ -125,11 +125,24 @@ def test_a_technique_that_workers_do_not_find_is_refused(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "name", ["", "serial:", "serial:2", "process", "process:0", "process:x", "ray:", "rya", "3"]
+    "name", ["", "serial:", "serial:2", "process", "process:", "process:x", "ray:", "rya", "3"]
 )
 def test_unknown_executors_are_refused(name):
     with pytest.raises(ValueError, match=r"unknown executor .* valid: serial, process:N, ray"):
         make_executor(name)
+
+
+def test_no_process_is_refused():
+    with pytest.raises(ValueError, match="executor 'process:0' has no process; give at least 1"):
+        make_executor("process:0")
+
+
+@pytest.mark.parametrize("executor", [Serial(), Processes(1)])
+def test_all_work_that_is_done_is_told(executor):
+    told = []
+    with executor, executor.workers(Tiny()) as workers:
+        list(workers.run([Shard(1, size=3), Shard(2, size=4)], told.append))
+    assert sorted(told) == [3, 4]
 
 
 def test_the_nearest_executor_is_suggested():

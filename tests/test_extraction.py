@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import importlib
 import io
 import os
 import pickle
@@ -12,17 +13,20 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from extraction_cases import Tiny, TwoSided, make_images
+from extraction_cases import Raising, Tiny, TwoSided, make_images
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.extraction import BLOCK, Cache, DescribedMap, describe_map, extract
 from amusic_gym.extraction import seconds as seconds_module
 from amusic_gym.extraction.describe import Plan, images_of
+from amusic_gym.extraction.executors import make_executor
 from amusic_gym.extraction.seconds import measure_seconds
+from amusic_gym.extraction.shards import DescribeShard, MatchShard
 from amusic_gym.ground_truth import GroundTruth
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.techniques import Technique
 
+extract_module = importlib.import_module("amusic_gym.extraction.extract")
 REFERENCES, QUERIES = BLOCK + 6, BLOCK + 1
 SECONDS = {"Tiny": 0.5, "TwoSided": 0.25, "KnowsItsBlock": 0.125}
 SECONDS_OF_ONE = {"Tiny": 0.5}
@@ -319,7 +323,7 @@ def test_blocks_of_different_shape_are_refused(folders, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"techniques": []}, "0 technique names"),
+        ({"techniques": []}, "no technique; give at least one"),
         ({"techniques": ["hogg"]}, "unknown technique 'hogg': did you mean 'hog'"),
         ({"techniques": [Tiny(), Tiny()]}, "'Tiny' is named twice"),
         ({"tolerance": None}, "tolerance is missing"),
@@ -386,3 +390,117 @@ def test_progress_is_a_bar_with_rate_and_time_left_on_a_terminal(folders, tmp_pa
     ):
         assert re.search(rf"Tiny: {title}: .*0/{total} \[00:00<\?, \? {unit}/s\]", shown)
     assert shown.split("\r")[-1].strip() == ""  # the last bar is gone
+
+
+# ---- what a technique of one's own raises --------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def two_images(tmp_path_factory):
+    return make_images(tmp_path_factory.mktemp("two") / "images", 2)
+
+
+def raised(two_images, cache, error, at, executor="serial"):
+    with pytest.raises(ValueError, match="technique 'Raising'") as caught:
+        extract(
+            two_images, two_images, Raising(error, at), tolerance=0, cache=cache, executor=executor
+        )
+    assert "\n" not in str(caught.value)
+    return caught.value
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (RuntimeError("boom"), "RuntimeError: boom"),
+        (KeyError("depth"), "KeyError: 'depth'"),
+        (NotImplementedError(), "NotImplementedError"),
+        (ValueError("two\nlines"), "ValueError: two lines"),
+        (FileNotFoundError(2, "nothing"), "FileNotFoundError: [Errno 2] nothing"),
+        (SystemExit(3), "SystemExit: 3"),
+    ],
+)
+@pytest.mark.parametrize("at", ["describe", "describe_query", "match"])
+def test_what_a_technique_raises_is_one_sentence_with_its_cause(
+    two_images, tmp_path, error, told, at
+):
+    refusal = raised(two_images, tmp_path, error, at)
+    assert str(two_images / "0000.png") in str(refusal)
+    assert re.search(rf": {re.escape(told)} \(extraction_cases\.py:\d+\)$", str(refusal))
+    assert refusal.__cause__ is error
+
+
+def test_in_another_process_it_is_the_same_sentence(two_images, tmp_path):
+    given = RuntimeError("boom"), "match"
+    here = raised(two_images, tmp_path / "a", *given)
+    there = raised(two_images, tmp_path / "b", *given, executor="process:1")
+    assert str(here) == str(there)
+
+
+def test_what_parameters_raises_is_one_sentence(two_images, tmp_path):
+    refusal = raised(two_images, tmp_path, KeyError("size"), "parameters")
+    assert "'Raising', parameters(): KeyError: 'size' (extraction_cases.py:" in str(refusal)
+
+
+def test_ctrl_c_in_a_technique_passes(two_images, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        describe_map(two_images, Raising(KeyboardInterrupt(), "describe"), cache=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "at", "told"),
+    [
+        (lambda found: 0.5, "describe", "gives a single number as a descriptor"),
+        (lambda found: np.float32(3), "describe", "gives a single number as a descriptor"),
+        (
+            lambda found: [[1, 2], [3]],
+            "describe",
+            "gives something else than a descriptor: ValueError",
+        ),
+        (lambda found: "text", "describe", "gives a descriptor of dtype"),
+        (lambda found: found * np.nan, "match", "gives scores with NaN"),
+        (lambda found: found * np.nan, "describe_query", "gives a descriptor with NaN"),
+        (lambda found: found[:0], "match", "gives scores of dtype float32 and shape (0,)"),
+        (lambda found: found[:5], "describe_query", "query of shape (5,) with references of shape"),
+    ],
+)
+def test_what_is_no_descriptor_or_score_is_refused_with_the_image(
+    two_images, tmp_path, wrong, at, told
+):
+    refusal = str(raised(two_images, tmp_path, wrong, at))
+    assert told in refusal
+    assert str(two_images / "0000.png") in refusal
+
+
+def test_one_technique_may_be_given_without_a_list(two_images, tmp_path):
+    for one in ("extraction_cases:Tiny", Tiny()):
+        bank = extract(str(two_images), two_images, one, tolerance=0, cache=tmp_path)
+        assert bank.techniques == ("Tiny",)
+
+
+def test_a_map_may_be_described_by_names(two_images, tmp_path):
+    described = describe_map(str(two_images), "extraction_cases:Tiny", cache=tmp_path)
+    assert (described.references, described.technique.name) == (2, "Tiny")
+
+
+def test_in_this_process_work_is_told_image_by_image(two_images, tmp_path):
+    images = images_of(ImageFolder(two_images))
+    plan, told = Plan.of(Tiny(), images, images), []
+    workers = make_executor("serial").workers(plan.technique)
+    ((_, found),) = workers.run([DescribeShard("key", images, query=False)], told.append)
+    assert told == [1, 1]
+    list(workers.run([MatchShard("key", found, found, images.paths)], told.append))
+    assert told == [1, 1, 2, 2]
+
+
+def test_an_unwritable_out_is_refused_before_any_work(two_images, tmp_path, monkeypatch):
+    def refuse(dir):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(extract_module.tempfile, "TemporaryFile", refuse)
+    technique = Tiny(log=tmp_path / "log")
+    with pytest.raises(PermissionError, match="bank cannot be written, nothing can be in .*denied"):
+        extract(
+            two_images, two_images, technique, tolerance=0, cache=tmp_path, out=tmp_path / "bank"
+        )
+    assert not technique.log.exists()

@@ -360,7 +360,7 @@ def test_after_a_techniques_error_comes_a_reset():
     env.reset(seed=0)
     for _ in range(3):
         env.step([1, 1, 0, 0])
-    with pytest.raises(ValueError, match=r"^technique 'CALC' at frame 3 of 'pair': too dark$"):
+    with pytest.raises(ValueError, match=r"^technique 'CALC' at frame 3 of 'pair': .*too dark"):
         env.step([1, 1, 0, 0])
     with pytest.raises(ValueError, match="an error cut the last step short; call reset"):
         env.step([1, 0, 0, 0])
@@ -372,7 +372,7 @@ def test_after_a_techniques_error_comes_a_reset():
 def test_what_is_no_live_route_is_refused():
     maps, images = maps_of(9), traverse(5, 2)
     cases = [
-        (lambda: LiveRoute([], images, tolerance=1), "technique names"),
+        (lambda: LiveRoute([], images, tolerance=1), "no map; give at least one"),
         (lambda: LiveRoute([maps[0], maps_of(8)[1]], images, tolerance=1), "HOG 9, CALC 8 places"),
         (lambda: LiveRoute([maps[0]] * 2, images, tolerance=1), "'HOG' is named twice"),
         (lambda: LiveRoute(maps, [], tolerance=1), "no image; a route has at least one frame"),

@@ -160,6 +160,9 @@ def test_a_data_set_by_name(run, arguments, folders, tmp_path):
         (["--techniques", "hogg"], "unknown technique 'hogg': did you mean 'hog'?"),
         (["--techniques", "nowhere:Mine"], "technique 'nowhere:Mine' cannot be imported"),
         (["--reference", "nowhere", "--tolerance", 1], "nowhere does not exist"),
+        (["--techniques", "extraction_cases:Signalling"], "cannot be made: TypeError"),
+        (["--executor", "process:0", "--tolerance", 1], "give at least 1"),
+        (["--dataset", "berlin", "--root", ".", "--step", 0], "does not go with --dataset"),
         (["--weights", "hog=x"], "--weights: unknown technique 'hog'"),
         (["--weights", "tiny=no.file"], "takes no weights; leave out no.file"),
         (["--seconds", "Tiny=fast", "--tolerance", 1], "Tiny=fast: 'fast' is not a number"),
@@ -182,6 +185,37 @@ def test_bad_arguments_are_refused_in_one_line_before_any_work(
     assert (status, out, err.count("\n")) == (2, "", 1)
     assert message in err
     assert not list(tmp_path.iterdir())
+
+
+def test_a_module_of_the_current_directory_is_found_by_workers_too(folders, tmp_path):
+    """And what it raises is the same line, in this process and in others."""
+    (tmp_path / "module_of_mine.py").write_text(
+        "import extraction_cases\n"
+        "from helper_of_mine import name\n"
+        "class Mine(extraction_cases.Tiny):\n"
+        "    name = name\n"
+        "class Boom(Mine):\n"
+        "    def match(self, query, references):\n"
+        "        raise NotImplementedError\n"
+    )
+    (tmp_path / "helper_of_mine.py").write_text("name = 'Mine'\n")
+    given = ["images", "--reference", folders[0], "--query", folders[0], "--tolerance", 1]
+    given += ["--cache", tmp_path / "cache", "--executor", "process:2", "--out", tmp_path / "bank"]
+    done = bank(*given, "--techniques", "module_of_mine:Mine", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert ScoreBank.load(tmp_path / "bank").techniques == ("Mine",)
+    done = bank(*given, "--techniques", "module_of_mine:Boom", cwd=tmp_path)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "technique 'Mine', matching a query of" in done.stderr
+    assert "NotImplementedError (module_of_mine.py:7)" in done.stderr
+
+
+def test_counts_of_a_data_set_are_refused_by_their_options(run, tmp_path):
+    given = ["images", "--dataset", "berlin", "--root", tmp_path, "--techniques", "hog"]
+    for option, least in (("--images", 1), ("--first", 0), ("--step", 1)):
+        status, _, err = run(*given, option, least - 1, "--out", tmp_path / "bank")
+        assert (status, err.count("\n")) == (2, 1)
+        assert f"{option} is {least - 1}; give a whole number >= {least}" in err
 
 
 # ---- render ------------------------------------------------------------------------------------
@@ -210,7 +244,7 @@ def test_a_rendered_route_becomes_a_bank(run, tmp_path):
     [
         (["--condition", "wintre"], "did you mean 'winter'"),
         (["--condition", "day", "--size", "big"], "--size 'big' is not of the form WIDTHxHEIGHT"),
-        (["--condition", "day", "--size", "99x1"], "rows is 1"),
+        (["--condition", "day", "--size", "99x1"], "--size 99x1: give at least 16x16 pixels"),
         (["--condition", "day", "--places", 0], "places is 0"),
         (["--condition", "day", "--seed", -1], "-1"),
         (["--condition", "day", "--kind", "rial"], "did you mean 'rail'"),

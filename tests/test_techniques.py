@@ -234,9 +234,13 @@ def test_a_technique_is_found_by_its_class():
         ("", "unknown technique ''"),
         ("no_such_package:Mine", "'no_such_package:Mine' cannot be imported: No module named"),
         ("test_techniques:Mine", "'test_techniques:Mine' cannot be imported: .*no attribute"),
-        ("test_techniques:", "cannot be imported"),
+        ("test_techniques:", "'test_techniques:' is not of the form package.module:Class"),
+        (":x", "':x' is not of the form package.module:Class"),
+        (".:x", "'.:x' is not of the form package.module:Class"),
+        (".a:x", "'.a:x' cannot be imported: TypeError: the 'package' argument"),
+        ("os:getcwd", "'os:getcwd' is a builtin_function_or_method; name a class"),
         ("test_techniques:OWN", "'test_techniques:OWN' is a str; name a class"),
-        ("pathlib:Path", "'pathlib:Path' is a .*Path; derive its class from amusic_gym"),
+        ("pathlib:Path", "'pathlib:Path' is a class that is no technique; derive it from"),
         ("test_techniques:Nameless", "is a Nameless; derive its class .* give it a name"),
     ],
 )
@@ -281,3 +285,94 @@ def test_a_technique_without_describe_says_so():
     with pytest.raises(NotImplementedError, match=r"Nameless must define describe\(image\)"):
         Nameless().describe(image(0))
     assert Nameless().parameters() == {}
+
+
+# --- code that is not ours ------------------------------------------------------------------------
+
+
+class Demanding(Technique):
+    name = "Demanding"
+
+    def __init__(self, size):
+        self.size = size
+
+
+class Failing(Technique):
+    name = "Failing"
+
+    def __init__(self, weights="boom"):
+        if weights == "boom":
+            raise RuntimeError(weights)
+        open(weights).close()
+
+
+@pytest.mark.parametrize(
+    ("name", "message", "cause"),
+    [
+        ("Demanding", "cannot be made: TypeError: .* missing 1 required .* 'size'", TypeError),
+        (
+            "Failing",
+            r"cannot be made: RuntimeError: boom \(test_techniques.py:\d+\)$",
+            RuntimeError,
+        ),
+    ],
+)
+def test_what_a_class_raises_as_it_is_made_is_one_sentence(name, message, cause):
+    with pytest.raises(ValueError, match=f"technique 'test_techniques:{name}' {message}") as caught:
+        make_technique(f"test_techniques:{name}")
+    assert isinstance(caught.value.__cause__, cause)
+
+
+def test_weights_that_a_class_of_ones_own_does_not_find_are_missing_files(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        make_technique("test_techniques:Failing", str(tmp_path / "none"))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x = 1\n1 +\n", r"SyntaxError: invalid syntax \(broken_one.py:2\)"),
+        ("raise SystemExit('no')", r"SystemExit: no \(broken_one.py:1\)"),
+        ("{}['key']", r"KeyError: 'key' \(broken_one.py:1\)"),
+        ("import nowhere_at_all", "No module named 'nowhere_at_all'"),
+    ],
+)
+def test_what_a_module_raises_as_it_is_imported_is_one_sentence(
+    tmp_path, monkeypatch, text, message
+):
+    (tmp_path / "broken_one.py").write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(ValueError, match=f"'broken_one:X' cannot be imported: {message}$"):
+        make_technique("broken_one:X")
+
+
+def test_a_module_of_the_current_directory_is_found_after_all_others(tmp_path, monkeypatch):
+    (tmp_path / "module_from_here.py").write_text(
+        "from test_techniques import ColourGrid\nclass Mine(ColourGrid): pass\n"
+    )
+    (tmp_path / "random.py").write_text("raise AssertionError")
+    monkeypatch.setattr(sys, "path", [each for each in sys.path if each])
+    with pytest.raises(ValueError, match="cannot be imported: No module named 'module_from_here'"):
+        make_technique("module_from_here:Mine")
+    monkeypatch.chdir(tmp_path)
+    before = list(sys.path)
+    with pytest.raises(ValueError, match="No module named 'nothing_here'"):
+        make_technique("nothing_here:Mine")
+    assert sys.path == before
+    assert make_technique("module_from_here:Mine").name == "ColourGrid"
+    assert sys.path == [*before, str(tmp_path)]
+    del sys.modules["module_from_here"]
+
+
+def test_nothing_is_called_that_is_no_technique(monkeypatch):
+    called = []
+    monkeypatch.setattr(os, "getcwd", lambda: called.append(1) or "/")
+    monkeypatch.setattr(sys.modules[__name__], "Recorder", lambda: called.append(2), raising=False)
+    with pytest.raises(ValueError, match="is a function; name a class"):
+        make_technique("test_techniques:Recorder")
+    assert 2 not in called
+
+
+def test_a_factory_of_ones_own_may_be_registered(registry):
+    register("made", lambda: Weighed("a factory"))
+    assert make_technique("made").name == "weighed by a factory"

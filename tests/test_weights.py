@@ -155,6 +155,13 @@ def test_damaged_files_are_refused_by_name(tmp_path, ending):
             read_weights(path)
 
 
+def test_a_damaged_pickle_is_refused_without_the_librarys_text(tmp_path):
+    path = tmp_path / "weights.pt"
+    path.write_bytes(b"\x80\x02garbage")
+    with pytest.raises(ValueError, match=r"\(its contents are no tensors that PyTorch can read\)"):
+        read_weights(path)
+
+
 def test_empty_missing_and_unknown_files_and_folders_are_refused(tmp_path):
     for ending in weight_readers.READERS:
         empty = tmp_path / f"empty{ending}"

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from amusic_gym.techniques.own_code import guarded
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
 from amusic_gym.threads import alone
 
@@ -92,10 +93,19 @@ def describe_one(technique: Technique, image: Image, *, query: bool) -> Descript
         query: whether as a query or as a place of the map.
 
     Raises:
-        ValueError: when the technique gives something else than finite real numbers.
+        ValueError: when the technique gives something else than an array of finite real numbers,
+            or raises something, which is the cause.
     """
     describe = technique.describe_query if query else technique.describe
-    return _floats(technique, alone(describe, image), "a descriptor")
+    kind = type(technique).__module__
+    given = guarded(f"technique {technique.name!r}", kind, alone, describe, image)
+    descriptor = _floats(technique, given, "a descriptor")
+    if np.ndim(given) == 0:
+        raise ValueError(
+            f"technique {technique.name!r} gives a single number as a descriptor; "
+            "describe must give an array of at least one dimension"
+        )
+    return descriptor
 
 
 def match_one(technique: Technique, query: Descriptor, block: Descriptor) -> NDArray[np.float32]:
@@ -110,9 +120,15 @@ def match_one(technique: Technique, query: Descriptor, block: Descriptor) -> NDA
         (B,) float32.
 
     Raises:
-        ValueError: when the technique gives something else than B finite real numbers.
+        ValueError: when the technique gives something else than B finite real numbers, or raises
+            something, which is the cause.
     """
-    given = alone(technique.match, aligned(query), block)
+    what = (
+        f"technique {technique.name!r}, matching a query of shape {query.shape} with references "
+        f"of shape {block.shape}"
+    )
+    kind = type(technique).__module__
+    given = guarded(what, kind, alone, technique.match, aligned(query), block)
     scores = _floats(technique, given, "scores")
     if scores.shape != (len(block),):
         raise ValueError(
@@ -141,7 +157,10 @@ def check_shape(
 
 
 def _floats(technique: Technique, values: object, what: str) -> NDArray[np.float32]:
-    array = np.asarray(values)
+    kind = type(technique).__module__
+    array = guarded(
+        f"technique {technique.name!r} gives something else than {what}", kind, np.asarray, values
+    )
     if array.dtype.kind not in "fiub" or array.size == 0:
         raise ValueError(
             f"technique {technique.name!r} gives {what} of dtype {array.dtype} and shape "

@@ -32,9 +32,18 @@ _ATTEMPTS = 3
 
 
 def default_cache() -> Path:
-    """``$XDG_CACHE_HOME/amusic-gym``, or ``~/.cache/amusic-gym``."""
+    """``$XDG_CACHE_HOME/amusic-gym``, or ``~/.cache/amusic-gym``.
+
+    Raises:
+        ValueError: where this user has no home folder.
+    """
     given = os.environ.get("XDG_CACHE_HOME", "")
-    base = Path(given) if os.path.isabs(given) else Path.home() / ".cache"
+    try:
+        base = Path(given) if os.path.isabs(given) else Path.home() / ".cache"
+    except RuntimeError as error:
+        raise ValueError(
+            "no home folder is known for the cache; choose a folder for the cache (--cache DIR)"
+        ) from error
     return base / "amusic-gym"
 
 
@@ -43,7 +52,8 @@ class Cache:
 
     Entries appear whole or not at all. What writers that were killed left behind is swept when
     the folder is opened. Where nothing can be written, one warning says so, what is there is
-    still read, and new entries go to a temporary folder, which :meth:`close` removes.
+    still read, and new entries go to a temporary folder, which :meth:`close` removes. The default
+    folder may be unusable in any way for that; a folder that was given must be one.
 
     The folder grows with every new route and setting. Any part of it may be deleted at any time.
 
@@ -56,10 +66,12 @@ class Cache:
 
     def __init__(self, folder: str | os.PathLike[str] | None = None) -> None:
         self.folder = Path(os.path.abspath(folder or default_cache()))
-        if self.folder.exists() and not self.folder.is_dir():
+        self._is_default = not folder
+        if folder and os.path.exists(self.folder) and not os.path.isdir(self.folder):
             raise ValueError(f"the cache {self.folder} is a file; give a folder")
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._checked: set[Path] = set()
+        self._damaged = 0
         try:
             self._prepare(self.folder)
         except OSError as error:
@@ -73,7 +85,13 @@ class Cache:
     # ---- entries -------------------------------------------------------------------------
 
     def get(self, key: str) -> Stored | None:
-        """The entry ``key``; None where there is none, or only a damaged one, with a warning."""
+        """The entry ``key``; None where there is none, or only a damaged one.
+
+        The first damaged one is warned of, further ones are counted until :meth:`close`.
+
+        Raises:
+            OSError: for a folder in its place.
+        """
         for folder in self._folders:
             path = _path(folder, key)
             try:
@@ -81,10 +99,18 @@ class Cache:
                     return self._examine(file, path, key)
             except (FileNotFoundError, NotADirectoryError, PermissionError):
                 continue
+            except IsADirectoryError as error:
+                if folder == self._folders[0]:  # where it would be written
+                    raise OSError(
+                        f"the cache's {path} is a folder, where a file should be; remove it"
+                    ) from error
             except (OSError, ValueError) as error:
-                warnings.warn(
-                    f"the cache's {path} is damaged ({error}); it is computed again", stacklevel=2
-                )
+                self._damaged += 1
+                if self._damaged == 1:
+                    warnings.warn(
+                        f"the cache's {path} is damaged ({error}); it is computed again",
+                        stacklevel=2,
+                    )
         return None
 
     def put(self, key: str, array: NDArray[np.float32]) -> Stored:
@@ -145,7 +171,7 @@ class Cache:
             pass
 
     def _go_elsewhere(self, error: OSError) -> None:
-        if error.errno not in _READ_ONLY:
+        if error.errno not in _READ_ONLY and not self._is_default:
             raise OSError(
                 error.errno,
                 f"the cache {self.folder} cannot be used ({error.strerror or error}); "
@@ -153,16 +179,21 @@ class Cache:
             ) from error
         warnings.warn(
             f"the cache {self.folder} cannot be written ({error.strerror}); what is computed now "
-            "is not kept for the next time: choose another folder for the cache",
+            "is not kept for the next time: choose another folder for the cache (--cache DIR)",
             stacklevel=3,
         )
         self._temporary = tempfile.TemporaryDirectory(prefix="amusic-gym-")
         self._prepare(self._temporary_folder)
 
     def close(self) -> None:
-        """Remove the temporary folder, where there is one."""
+        """Remove the temporary folder, where there is one; say how much was damaged."""
         if self._temporary is not None:
             self._temporary.cleanup()
+        damaged, self._damaged = self._damaged, 0
+        if damaged > 1:
+            warnings.warn(
+                f"{damaged} entries of the cache {self.folder} were damaged", stacklevel=2
+            )
 
     def __enter__(self) -> Cache:
         return self

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import hashlib
 import importlib.metadata
+import importlib.util
 import inspect
 import json
 import marshal
 import sys
 from collections.abc import Iterator
 from functools import cache
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import FunctionType
 from typing import Any
 
 import numpy as np
 
+from amusic_gym.techniques.own_code import guarded, is_local
 from amusic_gym.techniques.protocol import Technique
 
 _PACKAGE = "amusic_gym"
@@ -40,12 +44,13 @@ _DISTRIBUTIONS = {
 def identity(technique: Technique) -> dict[str, Any]:
     """All that descriptors and scores depend on besides the images, for the keys of the cache.
 
-    The code is that of the files which define the class and its bases, and of the modules of the
-    same package that they import, by their text. The libraries are those which that code imports.
-    What a class of your own takes from elsewhere, ``parameters()`` must name.
+    The code is that of the files which define the class and its bases, and of the modules that
+    they import, of the same package or of somebody's own (neither installed nor Python's), and so
+    on, by their text. The libraries are those which that code imports. What a class of your own
+    takes from elsewhere, say a file, ``parameters()`` must name.
 
     Raises:
-        ValueError: for parameters that are not plain values.
+        ValueError: for parameters that are not plain values, or that raise something.
     """
     kind: Any = type(technique)
     sources, libraries = _code_of(kind)
@@ -65,7 +70,9 @@ def describes_queries_alike(technique: Technique) -> bool:
 
 def _plain(technique: Technique) -> dict[str, Any]:
     plain = {}
-    for name, value in technique.parameters().items():
+    what, kind = f"technique {technique.name!r}, parameters()", type(technique).__module__
+    given = guarded(what, kind, lambda: dict(technique.parameters()))
+    for name, value in given.items():
         value = value.item() if isinstance(value, np.generic) else value
         if not isinstance(value, str | int | float):  # bool is an int
             raise ValueError(
@@ -98,24 +105,39 @@ def _code_of(kind: type) -> tuple[str, tuple[str, ...]]:
         text = file.read_bytes()
         digest.update(hashlib.sha256(text).digest())
         home = module.partition(".")[0]
-        for name in _imports(text, module):
+        for name in _imports(text, module, is_package=file.name == "__init__.py"):
             top = name.partition(".")[0]
-            if top in (home, _PACKAGE):
-                pending.append(name)
+            if top in (home, _PACKAGE) or _is_own(top):
+                pending += [name, top]  # the latter: a package's own file is run first
             elif top not in sys.stdlib_module_names:
                 libraries.add(top)
     return digest.hexdigest(), tuple(sorted(libraries))
 
 
-def _imports(text: bytes, module: str) -> Iterator[str]:
+@cache
+def _is_own(top: str) -> bool:
+    """Whether a top-level module or package is neither installed nor Python's."""
+    if top in sys.stdlib_module_names:
+        return False
+    file = _file_of(top)
+    places = [str(file)] if file is not None else [str(each) for each in _folders_of(top)]
+    return bool(places) and all(map(is_local, places))
+
+
+def _imports(text: bytes, module: str, *, is_package: bool) -> Iterator[str]:
     """Dotted names that a source file imports anywhere, with those that may be modules."""
-    for node in ast.walk(ast.parse(text)):
+    try:
+        tree = ast.parse(text)
+    except SyntaxError:  # imported where that does no harm, if at all
+        return
+    parts = [*module.split("."), "__init__"] if is_package else module.split(".")
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             start = node.module or ""
             if node.level:
-                parents = module.split(".")[: -node.level]
+                parents = parts[: -node.level]
                 start = ".".join([*parents, *filter(None, [node.module])])
             yield start
             yield from (f"{start}.{alias.name}" for alias in node.names)
@@ -128,11 +150,30 @@ def _file_of(module: str) -> Path | None:
     if file is not None:
         return Path(file) if file.endswith(".py") and Path(file).is_file() else None
     top, *rest = module.split(".")  # not imported yet: found without running anything
-    for folder in getattr(sys.modules.get(top), "__path__", ()):
+    if not rest:
+        origin = getattr(_spec_of(top), "origin", None) or ""
+        return Path(origin) if origin.endswith(".py") and Path(origin).is_file() else None
+    for folder in _folders_of(top):
         at = Path(folder, *rest)
         for path in (at.with_suffix(".py"), at / "__init__.py"):
             if path.is_file():
                 return path
+    return None
+
+
+def _folders_of(top: str) -> list[str]:
+    """Folders of a top-level package; none for a module."""
+    if top in sys.modules:
+        return list(getattr(sys.modules[top], "__path__", ()))
+    return list(getattr(_spec_of(top), "submodule_search_locations", None) or ())
+
+
+def _spec_of(top: str) -> ModuleSpec | None:
+    """Where a top-level module that is not imported yet would come from; runs nothing of it."""
+    if top in sys.modules:
+        return None
+    with contextlib.suppress(ImportError, ValueError):
+        return importlib.util.find_spec(top)
     return None
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.code import describes_queries_alike, identity, key_of
 from amusic_gym.extraction.executors import S, Workers
 from amusic_gym.extraction.progress import Progress
-from amusic_gym.extraction.shards import DescribeShard, MatchShard
+from amusic_gym.extraction.shards import Advance, DescribeShard, MatchShard
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.image_headers import measure
 from amusic_gym.routes.images import decode_image, digest_of, read_bytes
@@ -153,7 +153,10 @@ def match(plan: Plan, cache: Cache, workers: Workers, progress: Progress) -> int
             (0, describe(plan, cache, workers, progress, query=True, only=sides[0])),
         )
     )
-    shards = (MatchShard(key, queries[q], references[r]) for (q, r), key in missing.items())
+    shards = (
+        MatchShard(key, queries[q], references[r], plan.queries[q].paths)
+        for (q, r), key in missing.items()
+    )
     total = sum(queries[q].shape[0] * references[r].shape[0] for q, r in missing)
     with progress.bar(f"{plan.technique.name}: matching", total, "pairs") as advance:
         for _ in _compute(shards, cache, workers, advance):
@@ -176,11 +179,10 @@ def _compute(
     shards: Collection[S] | Iterator[S],
     cache: Cache,
     workers: Workers,
-    advance: Callable[[int], object],
+    advance: Advance,
 ) -> Iterator[tuple[str, Stored]]:
-    for shard, result in workers.run(shards):
+    for shard, result in workers.run(shards, advance):
         yield shard.key, cache.put(shard.key, result)
-        advance(shard.size)
 
 
 def _there(stored: Stored | None) -> Stored:

@@ -10,7 +10,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.extraction.shards import Shard
+from amusic_gym.extraction.shards import Advance, Shard, nothing
 from amusic_gym.names import nearest
 from amusic_gym.techniques.protocol import Technique
 
@@ -25,8 +25,13 @@ S = TypeVar("S", bound=Shard)
 class Workers(Protocol):
     """Workers that hold one technique."""
 
-    def run(self, shards: Iterable[S]) -> Iterator[tuple[S, NDArray[np.float32]]]:
+    def run(
+        self, shards: Iterable[S], advance: Advance = nothing
+    ) -> Iterator[tuple[S, NDArray[np.float32]]]:
         """Run all ``shards`` and yield each with its result, in any order.
+
+        ``advance`` is called with every amount of work that is done, in shards' ``size``; in this
+        process image by image, elsewhere shard by shard.
 
         Shards are taken from the iterable as workers become free. An error inside a shard is
         raised here as it is; a shard whose worker died is run again, ``ATTEMPTS`` times in all.
@@ -72,9 +77,11 @@ class _SerialWorkers:
     def __init__(self, technique: Technique) -> None:
         self._technique = technique
 
-    def run(self, shards: Iterable[S]) -> Iterator[tuple[S, NDArray[np.float32]]]:
+    def run(
+        self, shards: Iterable[S], advance: Advance = nothing
+    ) -> Iterator[tuple[S, NDArray[np.float32]]]:
         for shard in shards:
-            yield shard, shard.run(self._technique)
+            yield shard, shard.run(self._technique, advance)
 
     def __enter__(self) -> _SerialWorkers:
         return self
@@ -102,6 +109,8 @@ def make_executor(name: str) -> Executor:
         from amusic_gym.extraction.processes import Processes
 
         return Processes(int(argument))
+    if kind == "process" and argument.isdecimal():
+        raise ValueError(f"executor {name!r} has no process; give at least 1")
     if kind == "ray" and bool(colon) == bool(argument):
         from amusic_gym.extraction.ray_cluster import RayCluster
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -31,7 +32,7 @@ _Folder = ImageFolder | str | os.PathLike[str]
 def extract(
     reference: _Folder,
     query: _Folder,
-    techniques: Sequence[Technique | str],
+    techniques: Sequence[Technique | str] | Technique | str,
     *,
     tolerance: int | None = None,
     ground_truth: ArrayLike | GroundTruth | None = None,
@@ -53,7 +54,8 @@ def extract(
     Args:
         reference: the map, R images: an `ImageFolder` or a path.
         query: the run, Q images.
-        techniques: objects, or names as `amusic_gym.techniques.make_technique` takes them.
+        techniques: objects, or names as `amusic_gym.techniques.make_technique` takes them; one
+            or several.
         tolerance: places to either side of the true one that count as right; see `ScoreBank`.
         ground_truth: see `ScoreBank`, and `amusic_gym.routes.image_truth` for more ways; None:
             query q is at place q, in joined folders part by part.
@@ -78,11 +80,12 @@ def extract(
         ChildProcessError: when workers die of the same shard again and again.
     """
     where = make_executor(executor)
+    techniques = [techniques] if isinstance(techniques, Technique | str) else techniques
     made = [make_technique(each) if isinstance(each, str) else each for each in techniques]
     names = check_names([technique.name for technique in made])
     declared = _declared(seconds or {}, names)
     if out is not None:
-        bank_files.check_destination(Path(out))
+        _check_writable(Path(out))
     map_folder, run_folder = (
         each if isinstance(each, ImageFolder) else ImageFolder(each) for each in (reference, query)
     )
@@ -165,6 +168,20 @@ def _run(
         f"{cost:.4g} s per run"
     )
     return cost
+
+
+def _check_writable(out: Path) -> None:
+    """Refuse a bank's folder that cannot be written, before long work is begun for it."""
+    bank_files.check_destination(out)
+    parent = Path(os.path.realpath(out)).parent
+    try:
+        with tempfile.TemporaryFile(dir=parent):
+            pass
+    except OSError as error:
+        raise OSError(
+            error.errno,
+            f"the bank {out} cannot be written, nothing can be in {parent} ({error.strerror})",
+        ) from error
 
 
 def _declared(seconds: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:

@@ -17,7 +17,7 @@ from amusic_gym.extraction.describe import Plan, describe, images_of
 from amusic_gym.extraction.executors import make_executor
 from amusic_gym.extraction.progress import Progress
 from amusic_gym.routes.folders import ImageFolder
-from amusic_gym.techniques.protocol import Descriptor, Image, Technique
+from amusic_gym.techniques import Descriptor, Image, Technique, make_technique
 from amusic_gym.threads import limit_this_thread, one_thread
 
 
@@ -122,8 +122,8 @@ class DescribedMap(Sequence[Descriptor]):
 
 
 def describe_map(
-    folder: ImageFolder,
-    technique: Technique,
+    folder: ImageFolder | str | os.PathLike[str],
+    technique: Technique | str,
     *,
     cache: str | os.PathLike[str] | Cache | None = None,
     executor: str = "serial",
@@ -134,8 +134,8 @@ def describe_map(
     """Describe all images of a folder as the map of one technique, or take that from the cache.
 
     Args:
-        folder: the reference traverse, R images.
-        technique: the technique.
+        folder: the reference traverse, R images, or its path.
+        technique: the technique, or its name as `amusic_gym.techniques.make_technique` takes it.
         cache: the cache's folder, or an open cache; None: the default one.
         executor: see :func:`amusic_gym.extraction.executors.make_executor`.
         in_memory: hold all descriptors in memory; else they stay in the cache's files,
@@ -150,6 +150,8 @@ def describe_map(
         FileNotFoundError: for an image that is not there.
         ValueError: for one that cannot be read or described.
     """
+    technique = make_technique(technique) if isinstance(technique, str) else technique
+    folder = folder if isinstance(folder, ImageFolder) else ImageFolder(folder)
     with ExitStack() as stack:
         if not isinstance(cache, Cache):
             cache = stack.enter_context(Cache(cache))

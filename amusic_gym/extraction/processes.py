@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.extraction.executors import ATTEMPTS, S
-from amusic_gym.extraction.shards import Shard
+from amusic_gym.extraction.shards import Advance, Shard, nothing
+from amusic_gym.techniques.own_code import told
 from amusic_gym.techniques.protocol import Technique
 
 _GONE = (EOFError, OSError)  # what a pipe raises whose other end died, also in mid-message
@@ -57,8 +58,8 @@ def dumped(technique: Technique) -> bytes:
         return pickle.dumps(technique)
     except Exception as error:  # anything in a user's class
         raise ValueError(
-            f"technique {technique.name!r} does not pickle ({error}); define its class at the top "
-            "of a module, or use the executor 'serial'"
+            f"technique {technique.name!r} does not pickle ({told(error)}); define its class "
+            "at the top of a module, or use the executor 'serial'"
         ) from error
 
 
@@ -70,10 +71,10 @@ def loaded(data: bytes) -> Technique:
     """
     try:
         technique: Technique = pickle.loads(data)
-    except Exception as error:  # whatever importing a user's module raises
+    except (Exception, SystemExit) as error:  # whatever importing a user's module raises
         raise ValueError(
-            f"a worker cannot load the technique ({error}); define its class in a module that "
-            "workers can import, or use the executor 'serial'"
+            f"a worker cannot load the technique ({told(error)}); define its class in a module "
+            "that workers can import, or use the executor 'serial'"
         ) from error
     return technique
 
@@ -85,7 +86,9 @@ class _ProcessWorkers:
         self._idle: list[_Worker] = []
         self._busy: dict[Connection, tuple[_Worker, Any, int]] = {}
 
-    def run(self, shards: Iterable[S]) -> Iterator[tuple[S, NDArray[np.float32]]]:
+    def run(
+        self, shards: Iterable[S], advance: Advance = nothing
+    ) -> Iterator[tuple[S, NDArray[np.float32]]]:
         ahead = iter(shards)
         again: deque[tuple[S, int]] = deque()
         while True:
@@ -107,6 +110,7 @@ class _ProcessWorkers:
                 self._idle.append(worker)
                 if isinstance(answer, BaseException):
                     raise answer
+                advance(shard.size)
                 yield shard, answer
 
     def _give(self, shard: Shard, attempt: int) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from amusic_gym.extraction.executors import ATTEMPTS, S
 from amusic_gym.extraction.processes import dumped, loaded
-from amusic_gym.extraction.shards import Shard
+from amusic_gym.extraction.shards import Advance, Shard, nothing
 from amusic_gym.techniques.protocol import Technique
 
 
@@ -87,7 +87,9 @@ class _RayWorkers:
         self._technique = technique
         self._running: dict[Any, Any] = {}
 
-    def run(self, shards: Iterable[S]) -> Iterator[tuple[S, NDArray[np.float32]]]:
+    def run(
+        self, shards: Iterable[S], advance: Advance = nothing
+    ) -> Iterator[tuple[S, NDArray[np.float32]]]:
         waiting = iter(shards)
         shard = next(waiting, None)
         if shard is None:
@@ -104,7 +106,9 @@ class _RayWorkers:
                 shard = next(waiting, None)
             for task in ray.wait(list(self._running), num_returns=1)[0]:
                 done = self._running.pop(task)
-                yield done, self._result(ray, task, done)
+                result = self._result(ray, task, done)
+                advance(done.size)
+                yield done, result
 
     def _result(self, ray: Any, task: Any, shard: Shard) -> NDArray[np.float32]:
         errors = ray.exceptions

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from pathlib import Path
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,13 @@ from amusic_gym.routes.images import decode_image, digest_of, read_bytes
 from amusic_gym.techniques.protocol import Descriptor, Technique
 from amusic_gym.threads import one_thread
 
+Advance: TypeAlias = Callable[[int], object]
+"""Called with an amount of work that was done."""
+
+
+def nothing(done: int) -> None:
+    """Tell nobody that work was done."""
+
 
 class Shard(Protocol):
     """A piece of work: the same result in any process, in any order."""
@@ -34,8 +43,8 @@ class Shard(Protocol):
         """How much work it is, for the progress bar."""
         ...
 
-    def run(self, technique: Technique) -> NDArray[np.float32]:
-        """Do the work."""
+    def run(self, technique: Technique, advance: Advance = nothing) -> NDArray[np.float32]:
+        """Do the work, and tell of every bit of ``size`` that is done."""
         ...
 
     def portable(self) -> Shard:
@@ -69,7 +78,7 @@ class DescribeShard:
         """Itself: images are read where the work is done."""
         return self
 
-    def run(self, technique: Technique) -> NDArray[np.float32]:
+    def run(self, technique: Technique, advance: Advance = nothing) -> NDArray[np.float32]:
         """Read and describe the images one after the other.
 
         Raises:
@@ -80,11 +89,13 @@ class DescribeShard:
             first = self._describe(technique, 0)
             block = np.empty((len(self.images), *first.shape), np.float32)
             block[0] = first
+            advance(1)
             for at in range(1, len(self.images)):
                 descriptor = self._describe(technique, at)
                 path = self.images.paths[at]
                 check_shape(technique, descriptor.shape, first.shape, path)
                 block[at] = descriptor
+                advance(1)
         return block
 
     def _describe(self, technique: Technique, at: int) -> Descriptor:
@@ -95,9 +106,7 @@ class DescribeShard:
         try:
             return describe_one(technique, decode_image(data, path), query=self.query)
         except ValueError as error:
-            if str(path) in str(error):
-                raise
-            raise ValueError(f"{path}: {error}") from error
+            raise _at(path, error) from error.__cause__ or error
 
 
 @dataclass(frozen=True)
@@ -108,11 +117,13 @@ class MatchShard:
         key: of the result.
         queries: (B, ...) descriptors.
         references: (B, ...) descriptors.
+        paths: B, the images of the queries.
     """
 
     key: str
     queries: Stored | NDArray[np.float32]
     references: Stored | NDArray[np.float32]
+    paths: tuple[Path, ...]
 
     @property
     def size(self) -> int:
@@ -126,11 +137,27 @@ class MatchShard:
         """The same with both arrays in it."""
         return replace(self, queries=_array(self.queries), references=_array(self.references))
 
-    def run(self, technique: Technique) -> NDArray[np.float32]:
-        """Match the queries one by one, each as :func:`match_one` does it live."""
+    def run(self, technique: Technique, advance: Advance = nothing) -> NDArray[np.float32]:
+        """Match the queries one by one, each as :func:`match_one` does it live.
+
+        Raises:
+            ValueError: for a query that cannot be matched, with its path.
+        """
         queries, block = _array(self.queries), aligned(_array(self.references))
+        scores = np.empty((len(queries), len(block)), np.float32)
         with one_thread():
-            return np.stack([match_one(technique, query, block) for query in queries])
+            for row, query, path in zip(scores, queries, self.paths, strict=True):
+                try:
+                    row[:] = match_one(technique, query, block)
+                except ValueError as error:
+                    raise _at(path, error) from error.__cause__ or error
+                advance(len(block))
+        return scores
+
+
+def _at(path: Path, error: ValueError) -> ValueError:
+    """``error``, which says at which image it was."""
+    return error if str(path) in str(error) else ValueError(f"{path}: {error}")
 
 
 def _array(values: Stored | NDArray[np.float32]) -> NDArray[np.float32]:

@@ -143,8 +143,10 @@ def load_dataset(
         raise ValueError(suggest("data set", name, DATASETS))
     dataset = DATASETS[name]
     number = dataset.images if images is None else whole("images", images, 1)
-    if first is None and step != 1:
-        raise ValueError(f"step is {step!r} without first; give first=0, or another start")
+    if first is None and whole("step", step, 1) != 1:
+        raise ValueError(
+            f"step is {step!r} without first; give first=0 (--first 0), or another start"
+        )
     if first is not None and len(dataset.reference) > 1:
         raise ValueError(f"first is {first!r}, but {name} joins several folders; leave it out")
     part = {} if first is None else {"first": first, "step": step, "count": number}
@@ -159,8 +161,8 @@ def load_dataset(
             whose = "the paper used" if images is None else "you asked for"
             raise ValueError(
                 f"{', '.join(map(str, paths))}: {len(found)} images, but {whose} {number}; pass "
-                f"images={len(found)} to take all, or first= (and step=) to take {number} of one "
-                f"folder. {_needs(name, root, number)}"
+                f"images={len(found)} (--images {len(found)}) to take all, or first and step "
+                f"(--first, --step) to take {number} of one folder. {_needs(name, root, number)}"
             )
         traverses.append(found)
     reference, query = traverses

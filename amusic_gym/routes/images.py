@@ -68,7 +68,7 @@ def decode_image(
     if width * height > max_pixels:
         raise ValueError(
             f"{os.fspath(what)} has {width} x {height} pixels, more than the limit of "
-            f"{max_pixels}; make it smaller, or pass a larger max_pixels"
+            f"{max_pixels}; make it smaller"
         )
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)

@@ -17,6 +17,9 @@ from amusic_gym.techniques.protocol import Image
 CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 """Suffix of a video to write → its codec; both are in every build of OpenCV."""
 
+HIGHEST_CAMERA = 2**31 - 1
+"""OpenCV takes no larger number."""
+
 
 class VideoFile:
     """Frame source of a video file; its frames are read forwards.
@@ -102,7 +105,7 @@ class Camera:
         length: None; nobody knows.
 
     Raises:
-        ValueError: for a negative number.
+        ValueError: for a number that no camera can have.
         OSError: where there is no such camera, or it gives no picture.
     """
 
@@ -113,6 +116,8 @@ class Camera:
         import cv2
 
         self.number = whole("camera", number, 0)
+        if self.number > HIGHEST_CAMERA:
+            raise ValueError(f"camera is {number}; camera numbers are 0, 1, …")
         self.name = f"camera {self.number}"
         self._capture, first = _opened(self.number)
         if first is None:

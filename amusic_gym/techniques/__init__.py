@@ -7,12 +7,17 @@ named.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import importlib.util
 import inspect
+import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 from amusic_gym.names import suggest
+from amusic_gym.techniques.own_code import guarded, told
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
 
 __all__ = ["TECHNIQUES", "Descriptor", "Image", "Technique", "make_technique", "register"]
@@ -46,27 +51,37 @@ def make_technique(name: str, weights: str | Path | None = None) -> Technique:
     """Build a technique.
 
     Args:
-        name: one of ``TECHNIQUES``, upper or lower case, or ``"package.module:Class"``.
+        name: one of ``TECHNIQUES``, upper or lower case, or ``"package.module:Class"``, a module
+            that Python finds, or of the current directory.
         weights: its weights file; None: those that ship, or none.
 
     Raises:
         ValueError: for an unknown name, with the nearest suggested; for something that is no
-            technique; for one that takes no weights; for a file of other weights.
+            technique; for one that takes no weights; for a file of other weights; for one whose
+            module or class raises something, which is its cause.
         FileNotFoundError: for a weights file that is not there.
     """
     factory = _factory(name)
-    if weights is None:
-        technique: object = factory()
-    elif _takes_weights(factory):
-        technique = factory(weights=weights)
-    else:
+    if weights is not None and not _takes_weights(factory):
         raise ValueError(f"technique {name!r} takes no weights; leave out {weights}")
+    options = {} if weights is None else {"weights": weights}
+    technique: object = _built(name, factory, options)
     if not isinstance(technique, Technique) or not isinstance(getattr(technique, "name", 0), str):
         raise ValueError(
             f"technique {name!r} is a {type(technique).__name__}; derive its class from "
             "amusic_gym.techniques.Technique and give it a name, a text"
         )
     return technique
+
+
+def _built(name: str, factory: Factory, options: dict[str, str | Path]) -> object:
+    what = f"technique {name!r} cannot be made"
+    try:
+        return guarded(what, str(getattr(factory, "__module__", "")), factory, **options)
+    except ValueError as error:
+        if isinstance(error.__cause__, FileNotFoundError):  # its weights, say
+            raise error.__cause__ from None
+        raise
 
 
 def _takes_weights(factory: Factory) -> bool:
@@ -81,10 +96,36 @@ def _factory(name: str) -> Factory:
     if not isinstance(found, str):
         return found
     module, _, attribute = found.partition(":")
+    if not (module.strip(".") and attribute):
+        raise ValueError(f"technique {name!r} is not of the form package.module:Class")
+    _look_here(module)
     try:
-        factory: Factory = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError) as error:
-        raise ValueError(f"technique {name!r} cannot be imported: {error}") from error
-    if not callable(factory):
-        raise ValueError(f"technique {name!r} is a {type(factory).__name__}; name a class")
-    return factory
+        kind = getattr(importlib.import_module(module), attribute)
+    except (Exception, SystemExit) as error:  # a module of one's own may raise anything
+        why = str(error) if isinstance(error, ImportError | AttributeError) else told(error)
+        raise ValueError(f"technique {name!r} cannot be imported: {why}") from error
+    if not isinstance(kind, type):
+        raise ValueError(f"technique {name!r} is a {type(kind).__name__}; name a class")
+    if not issubclass(kind, Technique):  # before it is called: it may do anything
+        raise ValueError(
+            f"technique {name!r} is a class that is no technique; derive it from "
+            "amusic_gym.techniques.Technique"
+        )
+    return kind
+
+
+def _look_here(module: str) -> None:
+    """Let a module of the current directory be found, after all others.
+
+    A script has its own folder on the path in place of the current one. The latter stays there,
+    so that workers, which get the path, find the module too.
+    """
+    top = module.partition(".")[0]
+    with contextlib.suppress(OSError, ImportError, ValueError):
+        here = os.getcwd()
+        importlib.invalidate_caches()
+        if top in sys.modules or here in sys.path or importlib.util.find_spec(top) is not None:
+            return
+        sys.path.append(here)
+        if importlib.util.find_spec(top) is None:
+            sys.path.remove(here)

@@ -77,8 +77,8 @@ def _read_torch(data: bytes) -> tuple[Arrays, dict[str, str]]:
             content = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         found = re.search(r"GLOBAL (\S+)", str(error))
-        if found is None:
-            raise
+        if found is None:  # PyTorch's text is for those who wrote the call
+            raise ValueError("its contents are no tensors that PyTorch can read") from None
         raise RefusalError(
             f"holds a pickled object ({found[1]}) besides tensors, which can run code when read; "
             "save the state_dict alone, or convert the file to .safetensors"
