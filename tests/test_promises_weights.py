@@ -216,3 +216,5 @@ def test_33_weights_load_and_describe_offline(tmp_path, monkeypatch):
     assert CALC(tmp_path / "calc.npz").describe(cases.image()).shape == (1064,)
     netvlad = NetVLAD(small_netvlad(tmp_path / "own.safetensors"))
     assert netvlad.describe(cases.image()).shape == (7,)
+    assert CALC().describe(cases.image()).shape == (1064,)  # the weights that ship
+    assert NetVLAD().describe(cases.image()).shape == (256,)
