@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -38,11 +39,26 @@ def sources_digest(*sources: str) -> str:
 
 def _cached(function: Function, sources: tuple[str, ...], **options: bool) -> Function:
     """Numba's dispatcher of ``function``, whose cache is stale when one of ``sources`` changes."""
-    dispatcher = _njit(cache=True, error_model="numpy", **options)(function)
+    compiled_function: Function
+    try:
+        dispatcher = _njit(cache=True, error_model="numpy", **options)(function)
+    except RuntimeError:  # neither beside the source nor in the home can be written
+        _warn_of_no_cache()
+        compiled_function = _njit(error_model="numpy", **options)(function)
+        return compiled_function
     file = dispatcher._cache._cache_file
     file._source_stamp = (file._source_stamp, sources_digest(*sources))
-    compiled_function: Function = dispatcher
+    compiled_function = dispatcher
     return compiled_function
+
+
+@cache
+def _warn_of_no_cache() -> None:
+    warnings.warn(
+        "compiled code cannot be kept here and is compiled anew in every process; set"
+        " NUMBA_CACHE_DIR to a folder that can be written",
+        stacklevel=2,
+    )
 
 
 def compiled(function: Function) -> Function:
