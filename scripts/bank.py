@@ -1,4 +1,4 @@
-"""Make and inspect score banks: arrays | vprbench | images | simulate | info; render images."""
+"""Make and inspect score banks: arrays | vprbench | images | simulate | retime | info; render."""
 
 from __future__ import annotations
 
@@ -52,6 +52,16 @@ def simulate(args: argparse.Namespace) -> None:
     _save(simulate(args.seed, **given), args.out)
 
 
+def retime(args: argparse.Namespace) -> None:
+    """A recording, driven through with stops, speeds and jumps -> a bank."""
+    from amusic_gym.routes.retime import save_retimed
+
+    # Verified: else the new checksum would vouch for damaged scores.
+    bank = ScoreBank.load(args.bank, verify=True)
+    path = save_retimed(bank, args.seed, args.out, name=args.name or "")
+    _tell(path, bank.shape)
+
+
 def info(args: argparse.Namespace) -> None:
     """Check a bank whole and print what is in it."""
     bank = ScoreBank.load(args.bank, verify=True)
@@ -70,8 +80,11 @@ def info(args: argparse.Namespace) -> None:
 
 
 def _save(bank: ScoreBank, out: Path) -> None:
-    path = bank.save(out)
-    techniques, queries, references = bank.shape
+    _tell(bank.save(out), bank.shape)
+
+
+def _tell(path: Path, shape: tuple[int, int, int]) -> None:
+    techniques, queries, references = shape
     print(f"{path}: {techniques} techniques, {queries} queries, {references} references")
 
 
@@ -133,15 +146,23 @@ def _parser() -> Parser:
     three.add_argument("--techniques", type=int, metavar="T", help="how many techniques")
     three.add_argument("--motion", metavar="steady|varied", help="1:1, or stops and speeds")
 
-    for each in (one, two, three):
+    four = commands.add_parser(
+        "retime", help="from a bank: its frames as seen with stops, speeds and jumps"
+    )
+    four.set_defaults(run=retime)
+    four.add_argument("bank", type=Path, metavar="BANK", help="the recording")
+    four.add_argument("--seed", type=int, required=True, metavar="S", help="of the motion")
+    four.add_argument("--name", help="what to call it in tables (default: BANK's and the seed)")
+
+    for each in (one, two, three, four):
         each.add_argument("--out", type=Path, required=True, metavar="BANK", help="the folder")
 
     add_images(commands)
     add_render(commands)
 
-    four = commands.add_parser("info", help="check a bank and print what is in it")
-    four.set_defaults(run=info)
-    four.add_argument("bank", type=Path, metavar="BANK")
+    five = commands.add_parser("info", help="check a bank and print what is in it")
+    five.set_defaults(run=info)
+    five.add_argument("bank", type=Path, metavar="BANK")
     return parser
 
 

@@ -12,7 +12,10 @@ from amusic_gym.routes.ranges import draw_integer
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
-SPEEDS = (1.0, 1.0, 1.0, 1.0, 0.5, 1.5, 0.0, 2.0)  # places per frame, drawn with 'varied' motion
+# How a robot moves that does not drive steadily: here, and over recordings in `retime`.
+SPEEDS = (1.0, 1.0, 1.0, 1.0, 0.5, 1.5, 0.0, 2.0)  # places per frame
+SPEED_CHANGE = 0.03  # chance per frame of drawing a new speed out of SPEEDS
+JUMP = 0.02  # chance per frame of being carried to a random place
 
 
 @dataclass(frozen=True)
@@ -29,7 +32,11 @@ class World:
 def varied_drive(
     rng: np.random.Generator, queries: int, references: int, speed_change: float, jump: float
 ) -> NDArray[np.float64]:
-    """Positions (Q,) of a robot that stops, drives slower and faster, and is carried away."""
+    """Positions (Q,) of a robot that stops, drives slower and faster, and is carried away.
+
+    The motion of `retime.retimed_frames`, but that it may also be between two places, begins
+    anywhere in the first half of the map, and that a jump lands on the drawn place itself.
+    """
     jumps = (rng.random(queries) < jump).tolist()
     changes = (rng.random(queries) < speed_change).tolist()
     targets = (rng.random(queries) * (references - 1)).tolist()
