@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from agents.evaluation import Evaluation
+from agents.learners import ALGORITHMS
 from agents.network import NetworkConfig
 from agents.run_folder import CONFIG, read_config, versions
 from amusic_gym import __version__
+from amusic_gym.names import suggest
 from amusic_gym.settings import SICSettings
 
 HIGHEST_SEED = 1_000_000_000
@@ -20,10 +22,53 @@ _LEAST = {
     **dict.fromkeys(("timesteps", "n_envs", "pool", "n_steps", "epochs"), 1),
     **dict.fromkeys(("evaluate_every", "held_out"), 1),
     "batch_size": 2,  # PPO normalises the advantages of a batch
+    "frozen_updates": 0,
 }
 
 MOST_ROUTES = 65_536
 """Routes side by side; more would take memory by the hundred gigabytes."""
+
+
+WARM_START: dict[str, Any] = {"entropy": 0.001, "learning_rate": 2e-4, "frozen_updates": 8}
+"""Defaults of PPO that begins from weights that can drive already: it must not undo them."""
+
+DEFAULTS: dict[str, dict[str, Any]] = {
+    "imitation+ppo": WARM_START,
+    "dqn": {"batch_size": 256},
+}
+"""Where an algorithm's defaults are not those of PPO from scratch."""
+
+
+@dataclass(frozen=True)
+class ImitationConfig:
+    """How a teacher is imitated (DAgger: Ross, Gordon and Bagnell, AISTATS 2011).
+
+    Attributes:
+        rounds: of driving and learning; all that was seen before is learned again in each.
+        frames: driven in each round, over all routes.
+        teacher_share: share of the routes that the teacher drives is this to the power of the
+            round: all in the first one.
+        epochs: passes over all frames in each round.
+        batch_size: frames per gradient step.
+        learning_rate: at the start of each round; falls linearly to zero in it.
+
+    Raises:
+        ValueError: for a number out of range.
+    """
+
+    rounds: int = 8
+    frames: int = 32_768
+    teacher_share: float = 0.5
+    epochs: int = 4
+    batch_size: int = 512
+    learning_rate: float = 4e-3
+
+    def __post_init__(self) -> None:
+        """Refuse what nothing can be learned from."""
+        for name in ("rounds", "frames", "epochs", "batch_size"):
+            _whole(name, getattr(self, name), 1)
+        if not 0.0 <= self.teacher_share <= 1.0:
+            raise ValueError(f"teacher_share is {self.teacher_share!r}; give a number in [0, 1]")
 
 
 @dataclass(frozen=True)
@@ -31,7 +76,8 @@ class TrainingConfig:
     """Everything that decides how a selector is trained; the defaults are those of ``train.py``.
 
     Attributes:
-        timesteps: frames in all, over all routes.
+        algorithm: name of the algorithm, out of `agents.learners.ALGORITHMS`.
+        timesteps: frames in all, over all routes; imitation counts its own.
         seed: of routes, weights and draws.
         n_envs: routes side by side.
         statistic: SIC's statistic.
@@ -46,12 +92,16 @@ class TrainingConfig:
         entropy: weight of the entropy bonus.
         evaluate_every: frames between two evaluations, each followed by a checkpoint.
         held_out: simulated routes of an evaluation.
-        network: sizes of the network.
+        network: sizes of the network of PPO and imitation.
+        frozen_updates: updates of PPO in which the critic alone learns; for a warm start.
+        warm_start: run folder whose weights PPO begins from; ``train`` notes it here.
+        imitation: of a teacher.
 
     Raises:
-        ValueError: for a number out of range or an unknown statistic.
+        ValueError: for a number out of range, or an unknown algorithm or statistic.
     """
 
+    algorithm: str = "ppo"
     timesteps: int = 1_000_000
     seed: int = 0
     n_envs: int = 64
@@ -68,13 +118,16 @@ class TrainingConfig:
     evaluate_every: int = 200_000
     held_out: int = 16
     network: NetworkConfig = field(default_factory=NetworkConfig)
+    frozen_updates: int = 0
+    warm_start: str | None = None
+    imitation: ImitationConfig = field(default_factory=ImitationConfig)
 
     def __post_init__(self) -> None:
         """Refuse what no training can use."""
+        if self.algorithm not in ALGORITHMS:
+            raise ValueError(suggest("algorithm", self.algorithm, ALGORITHMS))
         for name, least in _LEAST.items():
-            value = getattr(self, name)
-            if not isinstance(value, int) or value < least:
-                raise ValueError(f"{name} is {value!r}; give a whole number >= {least}")
+            _whole(name, getattr(self, name), least)
         if self.n_envs > MOST_ROUTES:
             raise ValueError(f"n_envs is {self.n_envs}; give at most {MOST_ROUTES}")
         if not isinstance(self.seed, int) or not 0 <= self.seed <= HIGHEST_SEED:
@@ -94,6 +147,20 @@ class TrainingConfig:
         largest = min(self.batch_size, self.rollout)
         even = (size for size in range(largest, 1, -1) if self.rollout % size == 0)
         return next(even, largest)
+
+
+def _whole(name: str, value: Any, least: int) -> None:
+    if not isinstance(value, int) or value < least:
+        raise ValueError(f"{name} is {value!r}; give a whole number >= {least}")
+
+
+def training_config(algorithm: str, **given: Any) -> TrainingConfig:
+    """The configuration of an algorithm: its defaults, and what is given.
+
+    Raises:
+        ValueError: for an unknown algorithm or a number out of range.
+    """
+    return TrainingConfig(**{"algorithm": algorithm, **DEFAULTS.get(algorithm, {}), **given})
 
 
 def stored(
@@ -128,6 +195,7 @@ def stored_config(out: Path) -> TrainingConfig:
     try:
         values = dict(config["training"])
         values["network"] = NetworkConfig(**values["network"])
+        values["imitation"] = ImitationConfig(**values["imitation"])
         values["compute_weights"] = tuple(values["compute_weights"])
         return TrainingConfig(**values)
     except (KeyError, TypeError, ValueError) as error:

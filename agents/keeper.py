@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from torch import nn
 
 from agents.config import TrainingConfig, stored
 from agents.evaluation import Evaluation, HeldOut
-from agents.network import SelectorNetwork
+from agents.learners import kind as kind_of
+from agents.learners import learner
 from agents.run_folder import (
     CHECKPOINT,
     EVALUATIONS,
@@ -27,8 +28,59 @@ from agents.run_folder import (
     write_selector,
     write_tensors,
 )
-from agents.selector import TrainedSelector
+from amusic_gym.policy import Selector
 from amusic_gym.trace import write_whole
+
+
+class Records:
+    """A run folder's configuration, evaluations and best selector.
+
+    Args:
+        out: the run folder.
+        config: the training's configuration.
+        banks: folders of the banks, for ``config.json``.
+        kind: what kind of selector is trained, a name out of `agents.learners.KINDS`.
+        sizes: dataclass of its network's sizes.
+    """
+
+    def __init__(
+        self, out: Path, config: TrainingConfig, banks: Sequence[str | None], kind: str, sizes: Any
+    ) -> None:
+        self.out = out
+        self.config = config
+        self.banks = banks
+        self.kind = kind
+        self.sizes = sizes
+        self.evaluations: list[Evaluation] = []
+
+    @property
+    def best(self) -> Evaluation | None:
+        """The first of the highest score."""
+        return max(self.evaluations, key=lambda result: result.score, default=None)
+
+    def policy(self, network: nn.Module) -> Selector:
+        """The policy around a network."""
+        return kind_of(self.kind).selector(network, self.config.statistic, None)
+
+    def add(self, result: Evaluation, network: nn.Module) -> None:
+        """Note an evaluation; keep the network if it is the best."""
+        if self.best is None or result.score > self.best.score:
+            self.keep(network)
+        self.evaluations.append(result)
+        self.write()
+
+    def keep(self, network: nn.Module) -> None:
+        """Store a network as the run's selector."""
+        write_selector(self.out, network, self.sizes, self.kind)
+
+    def write(self) -> None:
+        """Write ``config.json`` and ``evaluation.csv``."""
+        write_config(self.out, stored(self.config, self.banks, self.best))
+        table = io.StringIO()
+        writer = csv.writer(table, lineterminator="\n")
+        writer.writerow(Evaluation._fields)
+        writer.writerows(self.evaluations)
+        write_whole(self.out / EVALUATIONS, table.getvalue().encode())
 
 
 class Keeper(BaseCallback):
@@ -47,36 +99,20 @@ class Keeper(BaseCallback):
         super().__init__()
         self.out = out
         self.config = config
-        self.banks = banks
         self.held_out = held_out
-        self.evaluations: list[Evaluation] = []
+        self.learner = learner(config.algorithm)
+        self.records = Records(out, config, banks, self.learner.kind, self.learner.sizes(config))
         self._next = config.evaluate_every
 
     @property
-    def network(self) -> SelectorNetwork:
+    def network(self) -> nn.Module:
         """The network that is being trained."""
-        network = self.model.policy.mlp_extractor
-        assert isinstance(network, SelectorNetwork)
-        return network
-
-    @property
-    def best(self) -> Evaluation | None:
-        """The first of the highest score."""
-        return max(self.evaluations, key=lambda result: result.score, default=None)
+        return self.learner.network(self.model)
 
     def begin(self) -> None:
         """Start the run folder: its records and a first checkpoint."""
-        self.write_records()
+        self.records.write()
         self.checkpoint()
-
-    def write_records(self) -> None:
-        """Write ``config.json`` and ``evaluation.csv``."""
-        write_config(self.out, stored(self.config, self.banks, self.best))
-        table = io.StringIO()
-        writer = csv.writer(table, lineterminator="\n")
-        writer.writerow(Evaluation._fields)
-        writer.writerows(self.evaluations)
-        write_whole(self.out / EVALUATIONS, table.getvalue().encode())
 
     def _on_step(self) -> bool:
         if self.locals["dones"].any():
@@ -96,34 +132,30 @@ class Keeper(BaseCallback):
 
     def finish(self) -> None:
         """Evaluate the last weights, if that was not done."""
-        if not self.evaluations or self.evaluations[-1].timesteps < self.model.num_timesteps:
+        done = self.records.evaluations
+        if not done or done[-1].timesteps < self.model.num_timesteps:
             self.evaluate()
             self.logger.dump(self.model.num_timesteps)
 
     def evaluate(self) -> None:
         """Evaluate, keep the selector if it is the best, write a checkpoint."""
         steps = self.model.num_timesteps
-        selector = TrainedSelector(self.network, self.config.statistic)
-        result = self.held_out.evaluate(selector, steps)
+        result = self.held_out.evaluate(self.records.policy(self.network), steps)
         for name, value in result._asdict().items():
             self.logger.record(f"held_out/{name}", value)
-        if self.best is None or result.score > self.best.score:
-            write_selector(self.out, self.network, self.config.network)
-        self.evaluations.append(result)
+        self.records.add(result, self.network)
         self._next = steps + self.config.evaluate_every
-        self.write_records()
         self.checkpoint()
 
     def save(self) -> None:
         """Keep what there is: a checkpoint, and a selector where none was evaluated yet."""
-        if not self.evaluations:
-            write_selector(self.out, self.network, self.config.network)
+        if not self.records.evaluations:
+            self.records.keep(self.network)
         self.checkpoint()
 
     def checkpoint(self) -> None:
         """Write everything that resuming needs, as one file."""
         model = self.model
-        assert isinstance(model, PPO)
         tensors: Tensors = {f"policy.{k}": v for k, v in model.policy.state_dict().items()}
         optimiser = model.policy.optimizer.state_dict()["state"]
         for index, values in optimiser.items():
@@ -133,7 +165,7 @@ class Keeper(BaseCallback):
             "timesteps": str(model.num_timesteps),
             "updates": str(model._n_updates),
             "numpy": json.dumps(_numpy_state()),
-            "evaluations": json.dumps(self.evaluations),
+            "evaluations": json.dumps(self.records.evaluations),
         }
         write_tensors(self.out / CHECKPOINT, tensors, metadata)
 
@@ -155,12 +187,11 @@ class Keeper(BaseCallback):
 
     def _restore(self, policy: Tensors, tensors: Tensors, metadata: dict[str, str]) -> None:
         model = self.model
-        assert isinstance(model, PPO)
         model.policy.load_state_dict(policy)
         self._restore_optimiser(_part(tensors, "optimiser."))
         model.num_timesteps = int(metadata["timesteps"])
         model._n_updates = int(metadata["updates"])
-        self.evaluations = [Evaluation(*row) for row in json.loads(metadata["evaluations"])]
+        self.records.evaluations = [Evaluation(*row) for row in json.loads(metadata["evaluations"])]
         self._next = model.num_timesteps + self.config.evaluate_every
         assert model.env is not None
         # Other routes than those already driven, but the same after every resume from here.
@@ -170,14 +201,14 @@ class Keeper(BaseCallback):
         np.random.set_state((name, np.array(keys, np.uint32), *rest))
 
     def _restore_optimiser(self, tensors: Tensors) -> None:
-        parameters = list(self.model.policy.parameters())
+        optimiser = self.model.policy.optimizer
+        parameters = optimiser.param_groups[0]["params"]
         state: dict[int, dict[str, torch.Tensor]] = {}
         for name, tensor in tensors.items():
             index, _, key = name.partition(".")
             if tensor.ndim and tensor.shape != parameters[int(index)].shape:
                 raise ValueError(f"shape {tuple(tensor.shape)} of the optimiser's {name!r}")
             state.setdefault(int(index), {})[key] = tensor
-        optimiser = self.model.policy.optimizer
         optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
 
 

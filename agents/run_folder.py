@@ -23,9 +23,11 @@ from typing import Any
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
+from torch import nn
 
+from agents.learners import KINDS, Kind
+from agents.learners import kind as kind_of
 from agents.network import VERSION as NETWORK_VERSION
-from agents.network import NetworkConfig, SelectorNetwork
 from amusic_gym.observation import VERSION as OBSERVATION_VERSION
 from amusic_gym.settings import STATISTICS
 from amusic_gym.trace import write_whole
@@ -35,6 +37,7 @@ CONFIG = "config.json"
 SELECTOR = "selector.safetensors"
 CHECKPOINT = "checkpoint.safetensors"
 EVALUATIONS = "evaluation.csv"
+FIRST_KIND = next(iter(KINDS))
 
 ENVIRONMENT = ("candidates", "history", "gamma")
 """Arguments of the environment that a run may set besides the statistic."""
@@ -115,13 +118,21 @@ def read_tensors(path: Path) -> tuple[Tensors, dict[str, str]]:
         raise ValueError(f"{path} is no whole safetensors file ({error}); train again") from error
 
 
-def write_selector(run: Path, network: SelectorNetwork, config: NetworkConfig) -> None:
-    """Store a network as the run's selector."""
-    metadata = {"network": json.dumps(asdict(config))}
-    write_tensors(run / SELECTOR, dict(network.state_dict()), metadata)
+def write_selector(run: Path, network: nn.Module, sizes: Any, kind: str = FIRST_KIND) -> None:
+    """Store a network as the run's selector.
+
+    Args:
+        run: the run folder.
+        network: the network.
+        sizes: dataclass of its sizes.
+        kind: what it is, a name out of `agents.learners.KINDS`.
+    """
+    about = asdict(sizes) if kind == FIRST_KIND else {"kind": kind, **asdict(sizes)}
+    # One entry: safetensors writes several in any order, and the same weights are the same bytes.
+    write_tensors(run / SELECTOR, dict(network.state_dict()), {"network": json.dumps(about)})
 
 
-def read_selector(run: Path) -> SelectorNetwork:
+def read_selector(run: Path) -> tuple[Kind, nn.Module]:
     """Load the run's selector.
 
     Raises:
@@ -130,13 +141,15 @@ def read_selector(run: Path) -> SelectorNetwork:
     path = run / SELECTOR
     tensors, metadata = read_tensors(path)
     try:
-        config = NetworkConfig(**json.loads(metadata["network"]))
+        about = {**json.loads(metadata["network"])}
+        kind = kind_of(about.pop("kind", FIRST_KIND))
+        sizes = kind.sizes(**about)
     except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"{path} holds no selector ({error}); train again") from error
-    network = SelectorNetwork(config)
+    network = kind.network(sizes)
     check_layers(path, tensors, network.state_dict())
     network.load_state_dict(tensors)
-    return network.eval()
+    return kind, network.eval()
 
 
 def check_layers(path: Path, tensors: Tensors, expected: Mapping[str, torch.Tensor]) -> None:

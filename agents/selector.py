@@ -10,9 +10,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from agents.network import SelectorNetwork
+from agents.learners import Kind
+from agents.network import NetworkConfig, SelectorNetwork
 from agents.run_folder import read_config, read_selector
-from amusic_gym.policy import Needs
+from amusic_gym.policy import Needs, Selector
 
 
 class TrainedSelector:
@@ -40,8 +41,8 @@ class TrainedSelector:
         return logits.numpy() > 0.0
 
 
-def load_selector(run: str | Path) -> TrainedSelector:
-    """Load the selector of a run folder.
+def load_selector(run: str | Path) -> Selector:
+    """Load the selector of a run folder, of whatever algorithm.
 
     Raises:
         FileNotFoundError: if the folder or its weights are not there.
@@ -49,6 +50,8 @@ def load_selector(run: str | Path) -> TrainedSelector:
     """
     run = Path(run)
     config = read_config(run)
-    return TrainedSelector(
-        read_selector(run), config["versions"]["statistic"], config["environment"]
-    )
+    kind, network = read_selector(run)
+    return kind.selector(network, config["versions"]["statistic"], config["environment"])
+
+
+KIND = Kind("selector", NetworkConfig, SelectorNetwork, TrainedSelector)

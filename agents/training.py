@@ -1,4 +1,4 @@
-"""Training a selector with PPO (Stable-Baselines3): evaluation, checkpoints, resume."""
+"""Training a selector from rewards (Stable-Baselines3): evaluation, checkpoints, resume."""
 
 from __future__ import annotations
 
@@ -7,50 +7,28 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import torch
-from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import ProgressBarCallback
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback, ProgressBarCallback
 from stable_baselines3.common.logger import Logger, make_output_format
 
-from agents.adapter import SB3VecEnv
 from agents.config import TrainingConfig, stored_banks, stored_config
 from agents.evaluation import HeldOut
 from agents.keeper import Keeper
-from agents.network import SelectorPolicy
+from agents.learners import learner
 from agents.run_folder import CHECKPOINT, SELECTOR
-from agents.selector import TrainedSelector, load_selector
+from agents.selector import load_selector
+from agents.warm_start import FreezeActor, Start, starting_network, take_over
+from amusic_gym.policy import Selector
+from amusic_gym.routes.simulate import POPULATION
 from amusic_gym.sources import BankLike, Banks, RouteSource, SimulatedRoutes
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 TRAINING_SEED = 1_000_000
 """First seed of the training routes; held-out routes have another."""
 
 
-def make_model(config: TrainingConfig, source: RouteSource) -> PPO:
-    """PPO on the native vector environment, on one thread, seeded."""
-    torch.set_num_threads(1)  # small batches: more threads only wait for each other
-    env = TechniqueSelectionVectorEnv(
-        config.n_envs,
-        source,
-        slots=source.slots,
-        statistic=config.statistic,
-        compute_weight=config.compute_weights,
-        autoreset_mode="SameStep",
-    )
-    return PPO(
-        SelectorPolicy,
-        SB3VecEnv(env),
-        policy_kwargs={"config": config.network},
-        n_steps=config.n_steps,
-        batch_size=config.batch,
-        n_epochs=config.epochs,
-        learning_rate=lambda left: config.learning_rate * left,
-        gamma=config.discount,
-        gae_lambda=config.gae_lambda,
-        ent_coef=config.entropy,
-        seed=config.seed,
-        device="cpu",
-    )
+def make_model(config: TrainingConfig, source: RouteSource) -> BaseAlgorithm:
+    """The configuration's algorithm on the native vector environment, on one thread, seeded."""
+    return learner(config.algorithm).make_model(config, source)
 
 
 def train(
@@ -61,7 +39,8 @@ def train(
     source: RouteSource | None = None,
     resume: bool = False,
     progress: bool = True,
-) -> TrainedSelector:
+    warm_start: Start | None = None,
+) -> Selector:
     """Train a selector and keep the best in a run folder.
 
     Args:
@@ -72,13 +51,17 @@ def train(
         resume: go on from the folder's last checkpoint, with its configuration and banks; of
             ``config`` only ``timesteps`` counts then.
         progress: whether to show a progress bar.
+        warm_start: network, or run folder of an imitation or of PPO, whose weights PPO begins
+            from; they are evaluated first, and so stay the best until others are better. With
+            ``config.frozen_updates`` the critic learns alone at first.
 
     Returns:
         The best selector by evaluation on held-out simulated routes.
 
     Raises:
         FileNotFoundError: if there is nothing to resume, or a bank is missing.
-        ValueError: if the folder holds another training or is damaged.
+        ValueError: if the folder holds another training or is damaged, or the warm start is of
+            another network or statistic.
         KeyboardInterrupt: after saving a checkpoint.
     """
     out = Path(out)
@@ -86,23 +69,22 @@ def train(
         config = replace(stored_config(out), timesteps=config.timesteps)
         banks = banks if banks or source else stored_banks(out)
     else:
-        _refuse_used(out)
-    model = make_model(config, source or _source(config, banks))
-    names = [None] if source else [_folder(bank) for bank in banks]
-    keeper = Keeper(out, config, names, HeldOut(config.held_out, config.statistic))
+        refuse_used(out)
+        config = replace(config, warm_start=_folder(warm_start))
+    model = make_model(config, source or training_source(config, banks))
+    held_out = HeldOut(config.held_out, config.statistic)
+    keeper = Keeper(out, config, bank_folders(source, banks), held_out)
     keeper.init_callback(model)
     if resume:
-        keeper.restore()
-        if config.timesteps + config.rollout <= model.num_timesteps:  # more than the overshoot
-            raise ValueError(
-                f"{out} has {model.num_timesteps} frames of training already; give more timesteps"
-                f" than {config.timesteps} to go on"
-            )
-        keeper.write_records()
+        _go_on(keeper)
     else:
+        if warm_start is not None:
+            take_over(model, starting_network(warm_start, config))
         keeper.begin()
     model.set_logger(_logger(out, model.num_timesteps))
     try:
+        if model.num_timesteps == 0 and (warm_start or config.warm_start):
+            keeper.evaluate()
         left = config.timesteps - model.num_timesteps
         if left > 0:
             _learn(model, left, keeper, progress)
@@ -115,17 +97,37 @@ def train(
     return load_selector(out)
 
 
-def _learn(model: PPO, timesteps: int, keeper: Keeper, progress: bool) -> None:
+def _go_on(keeper: Keeper) -> None:
+    """Restore the last checkpoint, and refuse what is finished."""
+    keeper.restore()
+    done, wanted = keeper.model.num_timesteps, keeper.config.timesteps
+    if wanted + keeper.config.rollout <= done:  # more than the overshoot
+        raise ValueError(
+            f"{keeper.out} has {done} frames of training already; give more timesteps"
+            f" than {wanted} to go on"
+        )
+    keeper.records.write()
+
+
+def _learn(model: BaseAlgorithm, timesteps: int, keeper: Keeper, progress: bool) -> None:
+    callbacks: list[BaseCallback] = [keeper]
+    if keeper.config.frozen_updates:
+        callbacks.append(FreezeActor(keeper.config.frozen_updates, keeper.config.rollout))
     bars = [ProgressBarCallback()] if progress else []
     try:
-        model.learn(timesteps, callback=[keeper, *bars], reset_num_timesteps=False)
+        model.learn(timesteps, callback=[*callbacks, *bars], reset_num_timesteps=False)
     finally:
         for bar in bars:  # an interrupted one would go on moving, and hide the cursor
             if hasattr(bar, "pbar"):
                 bar.pbar.close()
 
 
-def _refuse_used(out: Path) -> None:
+def refuse_used(out: Path) -> None:
+    """Refuse a folder that holds a training already.
+
+    Raises:
+        ValueError: naming the file.
+    """
     if out.exists() and not out.is_dir():
         raise ValueError(f"{out} is a file; give a folder")
     for name in (CHECKPOINT, SELECTOR):
@@ -135,14 +137,20 @@ def _refuse_used(out: Path) -> None:
             )
 
 
-def _source(config: TrainingConfig, banks: Sequence[BankLike]) -> RouteSource:
+def training_source(config: TrainingConfig, banks: Sequence[BankLike] = ()) -> RouteSource:
+    """The given banks, or the simulated routes of the configuration's seed."""
     if banks:
         return Banks(list(banks), aligned=False)
     seed = TRAINING_SEED + config.seed
-    return SimulatedRoutes(pool=config.pool, seed=seed, keep=config.pool)
+    return SimulatedRoutes(POPULATION, pool=config.pool, seed=seed, keep=config.pool)
 
 
-def _folder(bank: BankLike) -> str | None:
+def bank_folders(source: RouteSource | None, banks: Sequence[BankLike]) -> list[str | None]:
+    """Folders of the banks, as a run folder notes them; None for what is only in memory."""
+    return [None] if source else [_folder(bank) for bank in banks]
+
+
+def _folder(bank: object) -> str | None:
     """A bank's folder, None for a live route and for a bank that is only in memory."""
     path = bank if isinstance(bank, str | os.PathLike) else getattr(bank, "path", None)
     return None if path is None else os.path.abspath(path)

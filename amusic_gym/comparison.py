@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from amusic_gym import __version__, comparison_files, metrics
+from amusic_gym.audit import Audit, audit, parting
 from amusic_gym.bank import ScoreBank
+from amusic_gym.checks import whole
 from amusic_gym.policy import Context, Policy, Selector
 from amusic_gym.report import ReportFigure
 from amusic_gym.rollout import rollout
@@ -31,7 +33,10 @@ ROWS, TRACES, RESULTS = "rows", "traces", "results.json"
 
 MOST_CURVES = 16  # more traces than these in a figure of curves: subsets are left out
 MOST_PANELS = 8  # traces in a figure of selections
-ALWAYS_THE_SAME = ("raw", "single", "subset", "music")  # policies whose choice of runs is fixed
+ALWAYS_THE_SAME = (  # policies whose choice of runs is fixed
+    *("raw", "single", "subset", "music"),
+    *("mpf", "hmpf", "dynmpf", "plurality", "borda", "hmm"),
+)
 
 Report = Callable[[str], None]
 
@@ -113,7 +118,8 @@ def compare(
         ValueError: for no bank, no policy, banks with different cost models, or a policy that does
             not fit a bank.
     """
-    _check(banks, seed)
+    check_banks(banks)
+    whole("seed", seed, 0)
     names = distinct([bank.name or "bank" for bank in banks], taken=("mean",))
     entries = [
         entry
@@ -137,7 +143,12 @@ def compare(
     return Comparison(traces, rows, mean)
 
 
-def _check(banks: Sequence[ScoreBank], seed: int) -> None:
+def check_banks(banks: Sequence[ScoreBank]) -> None:
+    """Refuse banks that cannot be compared on.
+
+    Raises:
+        ValueError: for no bank, or banks with different cost models.
+    """
     if not banks:
         raise ValueError("no score bank to compare on; give at least one")
     costs = list(dict.fromkeys(bank.costs for bank in banks))
@@ -146,8 +157,6 @@ def _check(banks: Sequence[ScoreBank], seed: int) -> None:
             f"the banks reckon with different costs ({', '.join(costs)}), which have no common "
             "mean; choose one cost model that all have, for example 'runs'"
         )
-    if seed < 0:
-        raise ValueError(f"seed is {seed}; give a whole number >= 0")
 
 
 def _entries(
@@ -264,11 +273,26 @@ COLUMNS = ("accuracy", "auc", "auc_vprbench", "ptr", "compute", "reselections", 
 
 
 def table(comparison: Comparison) -> str:
-    """The rows as text, a block per bank, and their mean where there are several banks."""
+    """The rows as text, a block per bank, and their mean where there are several banks.
+
+    Below, a warning for every policy and bank where p̂ and the truth part.
+    """
     blocks = [_block(bank, rows) for bank, rows in _by_bank(comparison.rows).items()]
     if len(blocks) > 1 and comparison.mean:
         blocks.append(_block(f"mean over {len(blocks)} banks", comparison.mean))
-    return "\n\n".join(blocks)
+    return "\n\n".join([*blocks, *filter(None, ["\n".join(partings(comparison.traces))])])
+
+
+def partings(traces: Sequence[Trace]) -> list[str]:
+    """One line for each policy and bank where mean p̂ and accuracy differ by more than `PARTING`."""
+    groups: dict[tuple[str, str], list[tuple[str, Audit]]] = {}
+    for trace in traces:
+        weight = trace.compute_weight
+        if (held := audit(trace)) is not None:
+            group = groups.setdefault((trace.policy, trace.bank), [])
+            group.append(("" if weight is None else f"λ {weight:g}", held))
+    lines = [parting(f"{policy} on {bank}", held) for (policy, bank), held in groups.items()]
+    return [line for line in lines if line is not None]
 
 
 def _block(title: str, rows: Sequence[dict[str, Any]]) -> str:

@@ -27,6 +27,9 @@ from amusic_gym.sic import (
     weight_of,
 )
 
+SURE = 1e-12
+"""The least probability that a logarithm is taken of."""
+
 IDLE_DECAY = 0.9
 """Factor on p̂ and confidence per frame on which nothing ran."""
 
@@ -56,6 +59,11 @@ ROUTE = np.dtype(
         ("compute", np.float64),  # seconds of this step / total_seconds
         ("compute_mean", np.float64),
         ("agreeing", np.float64),  # share of techniques whose diagonal is the fused one
+        ("steady", np.float64),  # belief in steady motion
+        ("said", np.float64),  # belief: log-likelihood that the frame's rows gave the prediction
+        ("said_mean", np.float64),  # running mean of its mean over the rows
+        ("strange", np.float64),  # how much more than usual the rows changed, as a ratio
+        ("size_log", np.float64),  # length of the map as the observation has it
     ]
 )
 
@@ -78,7 +86,9 @@ SLOT = np.dtype(
         ("agreement", np.float64),  # running mean of agrees over the runs
         ("support", np.float64),  # z-score of the fused place in the last row
         ("support_mean", np.float64),
-        ("stored", np.float64),  # statistic that the fused diagonal had at the last run
+        ("stored", np.float64),  # what the last run said for the fused diagonal
+        ("trust", np.float64),  # belief: probability that a row is informative
+        ("weight", np.float64),  # belief: of the last row, less where it repeats the one before
         ("lagged", np.int64),  # frames before this one are in the lagged sums
     ]
 )
@@ -90,10 +100,11 @@ class Rules(NamedTuple):
     history: int
     gamma: float
     evidence: bool
+    belief: bool
     block: int  # M; 0: no re-select bit
     coverage: float  # E
     allow_idle: bool
-    calibration: NDArray[np.float64]  # (5,), see amusic_gym.calibration
+    calibration: NDArray[np.float64]  # (C,), see amusic_gym.calibration
 
 
 class State(NamedTuple):
@@ -108,6 +119,11 @@ class State(NamedTuple):
     prefix: NDArray[np.float64]  # (N, S, Q + 1) prefix weights
     values: NDArray[np.float64]  # (S, K) scratch: statistics of the candidates
     scratch: NDArray[np.float64]  # (K or S,) more scratch, whichever is longer
+    minds: NDArray[Any]  # (N,) MIND: what the belief came to; not used without
+    witnesses: NDArray[Any]  # (N, S) WITNESS: what each technique made of it
+    late: NDArray[np.int64]  # (N, S) runs that looking back at the last block took
+    statistics: NDArray[np.float64]  # (N, M, S) statistics on its frames
+    corrections: NDArray[np.float64]  # (N, S, M)
 
 
 RESULT = np.dtype(
@@ -179,6 +195,20 @@ def remember(state: State, tolerance: int, i: int, s: int, frame: int, winner: i
     rival = best_rival(values, top, top.size, slot.place, tolerance, -math.inf)
     slot.rival = rival
     slot.margin = slot.statistic - rival if rival > -math.inf else 0.0
+
+
+@inner
+def recall(state: State, i: int, s: int, frame: int) -> None:
+    """Store in its slot what a technique's run made of the belief."""
+    slot, known = state.slots[i, s], state.witnesses[i, s]
+    slot.last_run = frame
+    slot.place = known.place
+    slot.statistic = known.statistic
+    slot.correction = known.correction
+    slot.margin = known.margin
+    slot.trust = known.trust
+    slot.weight = known.weight
+    slot.stored = known.said
 
 
 @apart
@@ -257,17 +287,36 @@ def run_block(
 
 
 @apart
+def recall_block(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
+    """Take over what looking back at the block before ``frame`` came to (belief.look_back)."""
+    size = min(rules.block, frame)
+    for s in range(state.slots[i].size):
+        if state.slots[i, s].present:
+            out.slots[i, s].late_runs = state.late[i, s]
+            for past in range(frame - size, frame):
+                if not prepare(state.runs[i, s], past):
+                    out.routes[i].bad_row = 1 + s * state.routes[i].frames + past
+            for past in range(size):
+                out.corrections[i, s, past] = state.corrections[i, s, past]
+            recall(state, i, s, frame - 1)
+
+
+@apart
 def select(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
     """Do the selection of A-MuSIC (III-C1) over the block of frames before ``frame``."""
     slots = state.slots[i]
     size = min(rules.block, frame)
-    statistics = np.empty((rules.block, slots.size))
+    statistics = state.statistics[i]
+    if rules.belief:
+        recall_block(state, rules, i, frame, out)
+    else:
+        for s in range(slots.size):
+            for past in range(size):
+                statistics[past, s] = -math.inf
+            if slots[s].present:
+                run_block(state, rules, i, s, frame, statistics, out)
     for s in range(slots.size):
-        for past in range(size):
-            statistics[past, s] = -math.inf
-        if slots[s].present:
-            run_block(state, rules, i, s, frame, statistics, out)
-            out.routes[i].seconds += out.slots[i, s].late_runs * slots[s].seconds
+        out.routes[i].seconds += out.slots[i, s].late_runs * slots[s].seconds
     for past in range(size):
         out.slots[i, first_best(statistics[past], slots.size)].tally += 1
     select_techniques(out.slots[i], size, rules.coverage)
@@ -296,24 +345,43 @@ def choose_runs(state: State, rules: Rules, i: int, action: Any, out: Outcome) -
 
 
 @inner
+def note_runs(state: State, rules: Rules, i: int, out: Outcome) -> None:
+    """Write down what runs on the next frame, and what it costs."""
+    frame = state.routes[i].frame + 1
+    ratio = ratio_of(rules.gamma, rules.evidence)
+    for s in range(state.slots[i].size):
+        slot = state.slots[i, s]
+        slot.ran, slot.chosen = out.slots[i, s].ran, False
+        if slot.present:
+            state.ran[i, s, frame] = slot.ran
+            weigh(state.prefix[i, s], state.ran[i, s], frame, frame + 1, ratio)
+            if slot.ran:
+                out.routes[i].seconds += slot.seconds
+
+
+@inner
 def run_techniques(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
     """Run the chosen techniques on the frame and correct each."""
-    slots, route = state.slots[i], state.routes[i]
-    ratio = ratio_of(rules.gamma, rules.evidence)
-    for s in range(slots.size):
-        slot = slots[s]
-        slot.ran, slot.chosen = out.slots[i, s].ran, False
-        if not slot.present:
+    for s in range(state.slots[i].size):
+        slot = state.slots[i, s]
+        if not slot.ran:
             continue
-        state.ran[i, s, frame] = slot.ran
-        weigh(state.prefix[i, s], state.ran[i, s], frame, frame + 1, ratio)
-        if slot.ran:
+        if rules.belief:
+            if not prepare(state.runs[i, s], frame):
+                out.routes[i].bad_row = 1 + s * state.routes[i].frames + frame
+            recall(state, i, s, frame)
+        else:
             winner = correct_frame(state, rules, i, s, frame, out)
-            remember(state, route.tolerance, i, s, frame, winner)
-            out.routes[i].seconds += slot.seconds
-            out.slots[i, s].place = slot.place
-            out.slots[i, s].statistic = slot.statistic
-            out.slots[i, s].correction = slot.correction
+            remember(state, state.routes[i].tolerance, i, s, frame, winner)
+        out.slots[i, s].place = slot.place
+        out.slots[i, s].statistic = slot.statistic
+        out.slots[i, s].correction = slot.correction
+
+
+@inner
+def sigmoid(logit: float) -> float:
+    """1 / (1 + exp(−logit))."""
+    return 1.0 / (1.0 + math.exp(-min(max(logit, -30.0), 30.0)))
 
 
 @inner
@@ -324,18 +392,33 @@ def estimate(calibration: Any, statistic: float, margin: float, has_rival: bool)
         logit = calibration[0] + calibration[1] * s + calibration[2] * math.asinh(margin)
     else:
         logit = calibration[3] + calibration[4] * s
-    return 1.0 / (1.0 + math.exp(-min(max(logit, -30.0), 30.0)))
+    return sigmoid(logit)
+
+
+@inner
+def trust_highest(state: State, i: int, out: Outcome) -> int:
+    """Choose the technique of the highest statistic (MuSIC, III-B)."""
+    slots, statistics = state.slots[i], state.scratch
+    for s in range(slots.size):
+        statistics[s] = slots[s].statistic if slots[s].ran else -math.inf
+    chosen = first_best(statistics, slots.size)
+    slots[chosen].chosen = True
+    out.routes[i].technique = chosen
+    return chosen
+
+
+@inner
+def arrive(route: Any, place: int) -> None:
+    """Make ``place`` the prediction."""
+    route.continues = 1.0 if route.prediction >= 0 and place == route.prediction + 1 else 0.0
+    route.prediction = place
 
 
 @inner
 def fuse(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
     """Trust the technique of the highest statistic (MuSIC, III-B) and estimate correctness."""
     slots, route = state.slots[i], state.routes[i]
-    statistics = state.scratch
-    for s in range(slots.size):
-        statistics[s] = slots[s].statistic if slots[s].ran else -math.inf
-    chosen = first_best(statistics, slots.size)
-    slots[chosen].chosen = True
+    chosen = trust_highest(state, i, out)
     place = slots[chosen].place
     rival = -math.inf
     for s in range(slots.size):
@@ -347,12 +430,43 @@ def fuse(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
             top = top_at(state.runs[i, s], frame)
             rival = best_rival(state.values[s], top, top.size, place, route.tolerance, rival)
     has_rival = rival > -math.inf
-    route.continues = 1.0 if route.prediction >= 0 and place == route.prediction + 1 else 0.0
-    route.prediction = place
+    arrive(route, place)
     route.confidence = slots[chosen].statistic
     route.margin = route.confidence - rival if has_rival else 0.0
     route.p_correct = estimate(rules.calibration, route.confidence, route.margin, has_rival)
-    out.routes[i].technique = chosen
+
+
+@inner
+def log_odds(share: float) -> float:
+    """Log-odds of a probability, kept finite."""
+    return math.log(max(share, SURE)) - math.log(max(1.0 - share, SURE))
+
+
+@inner
+def believe(state: State, rules: Rules, i: int, out: Outcome) -> None:
+    """Take the place whose surroundings hold most of the belief; estimate correctness.
+
+    The technique trusted is the one of the highest statistic, as in MuSIC; the place is what all
+    that ran say together.
+    """
+    route, mind, b = state.routes[i], state.minds[i], rules.calibration
+    known = route.prediction >= 0
+    for s in range(state.slots[i].size):
+        known = known or state.slots[i, s].ran
+    if not known:
+        return
+    arrive(route, mind.place)
+    route.margin = math.log(max(mind.share, SURE)) - math.log(max(mind.rival, SURE))
+    route.said = mind.said
+    if mind.heard > 0:
+        route.said_mean += SMOOTHING * (mind.said / mind.heard - route.said_mean)
+    logit = b[0] + b[1] * log_odds(mind.share) + b[2] * route.margin
+    logit += b[3] * route.said + b[4] * route.said_mean
+    route.confidence = min(max(logit, -30.0), 30.0)
+    route.p_correct = sigmoid(logit)
+    route.steady, route.strange = mind.steady, mind.strange
+    if not out.routes[i].idle:
+        trust_highest(state, i, out)
 
 
 @inner
@@ -393,7 +507,8 @@ def relate(state: State, rules: Rules, i: int, frame: int) -> None:
             continue
         age = frame - slot.last_run
         slot.agrees = 1.0 if abs(slot.place + age - route.prediction) <= route.tolerance else 0.0
-        slot.stored = stored_statistic(state, rules, i, s, route.prediction - age)
+        if not rules.belief:
+            slot.stored = stored_statistic(state, rules, i, s, route.prediction - age)
         agreeing += slot.agrees
         if slot.ran:
             run = state.runs[i, s]
@@ -436,10 +551,12 @@ def plan_route(state: State, rules: Rules, i: int, action: Any, out: Outcome) ->
     """Decide what runs on the next frame of route ``i``, with a selection where it is asked for."""
     frame = state.routes[i].frame + 1
     if rules.block > 0:
-        keep_up(state, rules, i, frame)
+        if not rules.belief:
+            keep_up(state, rules, i, frame)
         if action[-1] and frame > 0:
             select(state, rules, i, frame, out)
     choose_runs(state, rules, i, action, out)
+    note_runs(state, rules, i, out)
 
 
 @inner
@@ -449,6 +566,9 @@ def process_route(state: State, rules: Rules, i: int, out: Outcome) -> None:
     run_techniques(state, rules, i, frame, out)
     if out.routes[i].idle:
         out.routes[i].technique = -1
+    if rules.belief:
+        believe(state, rules, i, out)
+    elif out.routes[i].idle:
         coast(state.routes[i])
     else:
         fuse(state, rules, i, frame, out)
@@ -463,7 +583,8 @@ def step_routes(
     """Process the next frame of every active route and show the others as they are.
 
     A live route computes the rows that a plan names before they are processed, and those of a
-    selection's block before the plan. Banks have all rows: they do both at once.
+    selection's block before the plan; and the belief (:mod:`amusic_gym.belief`) looks back before
+    the plan and hears the rows before they are processed. Else both are done at once.
 
     Args:
         state: the batch's memory, changed in place.

@@ -20,8 +20,11 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     ## Description
     A robot drives along a mapped route. For every camera frame it may run any of T visual place
     recognition techniques; each costs time and gives one similarity score per place of the map.
-    SIC corrects every technique that ran by the continuity of its matches, MuSIC trusts the most
-    consistent one (A-MuSIC, III-A and III-B). The agent decides what runs.
+    All that ran feed one belief over the places, which moves as the robot may
+    (:mod:`amusic_gym.belief`); the place whose surroundings hold most of it is the prediction.
+    With `statistic="evidence"` or `"mean"`, SIC corrects every technique that ran by the
+    continuity of its matches, and MuSIC trusts the most consistent one (A-MuSIC, III-A and
+    III-B). The agent decides what runs.
 
     ## Action Space
     `MultiBinary(T)`: bit t runs technique t on the *next* frame. Values are checked, not the
@@ -31,26 +34,30 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     A-MuSIC (III-C1). On the first frame there is nothing to select from, and the other bits hold.
 
     An all-zero action runs the cheapest technique, and `info["fallback"]` says so. With
-    `allow_idle=True` nothing runs: the prediction moves on by one place, p̂ and confidence decay.
+    `allow_idle=True` nothing runs: the belief moves on by itself; with the other statistics, the
+    prediction does by one place, and p̂ and confidence decay.
 
     ## Observation Space
     A flat float32 `Box` in [−1, 1]: T equal groups, one per technique, then the route's group.
-    *squash* is x / (|x| + 4). Running means weigh the newest value by 0.2.
+    *squash* is x / (|x| + 4). Running means weigh the newest value by 0.2. A star: not so
+    with `belief`, see below the tables.
 
     | per technique | meaning |
     |---|---|
     | present | 1; all entries of an empty slot are 0 |
     | ran | 1 if it ran on this frame |
-    | statistic | squash of its SIC statistic at its last run |
-    | margin | squash of that over its best rival beyond the tolerance |
-    | correction | squash of its last correction |
+    | statistic | squash of its SIC statistic at its last run * |
+    | margin | squash of that over its best rival beyond the tolerance * |
+    | correction | squash of its last correction: its statistic less that of its uncorrected match |
     | agrees | 1 if its last match, moved along its diagonal, is the fused one (± tolerance) |
     | agreement | running mean of agrees over its runs |
     | support | squash of the z-score that its last row gives to the fused prediction |
     | support_mean | squash of the running mean of support |
-    | stored | squash of the statistic that the fused diagonal had at its last run |
+    | stored | squash of the statistic that the fused diagonal had at its last run * |
+    | trust | probability that its rows are informative, by `belief`; 0 before its first run |
+    | weight | of its last row, by `belief`: 1, or less where it repeats the one before |
     | age | squash of the frames since its last run; 1 before the first |
-    | chosen | 1 if MuSIC trusts it on this frame |
+    | chosen | 1 if its statistic is the highest on this frame (MuSIC) |
     | cost_share | seconds / Σ seconds |
     | cost_log | 1 + log10(cost_share) / 4, at least −1 |
     | price | λ · cost_share on a logarithmic scale, 0.001 → −1, 0.1 → 0, 10 → 1, clipped |
@@ -59,8 +66,8 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     |---|---|
     | compute_weight | λ on a logarithmic scale, 0.01 → −1, 10 → 1, clipped |
     | has_prediction | 1 once there is a prediction |
-    | statistic | squash of the fused winner's statistic (the confidence) |
-    | margin | squash of that over the best rival of any technique that ran |
+    | statistic | squash of the confidence, the fused winner's statistic * |
+    | margin | squash of that over the best rival of any technique that ran * |
     | p_correct | p̂ |
     | p_correct_mean | running mean of p̂ |
     | continues | 1 if the prediction moved on by exactly one place |
@@ -69,10 +76,22 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     | compute | squash of this step's seconds / Σ seconds |
     | compute_mean | squash of its running mean |
     | agreeing | share of the techniques whose diagonal is the fused one |
+    | steady | probability of steady motion, one place per frame, by `belief` |
+    | strange | squash of how much the rows changed last, over what is usual for them, by `belief` |
+    | size | places of the map on a logarithmic scale, 1 → −1, 1000 → 0, a million → 1, clipped |
+
+    With `belief`, a technique's *statistic* is the log-odds of the place that its last row and the
+    belief before it make the most probable, within the tolerance; its *margin* the logarithm of
+    that probability over its best rival's; *stored* the log-likelihood that its last row gave the
+    fused place then. The *confidence* is the calibrated log-odds of being within the tolerance,
+    and the *margin* over the rival the log ratio of the belief around the fused place and around
+    the best one that shares no place with it. With the other statistics, `trust`, `weight`,
+    `steady` and `strange` are 0.
 
     ## Rewards
     p̂ − λ · (seconds run in this step / Σ seconds), from declared seconds; the terms are in
-    `info["reward_terms"]`. p̂ is SIC-estimated correctness: no ground truth is needed.
+    `info["reward_terms"]`. p̂ is estimated correctness, calibrated on simulated routes: no ground
+    truth is needed.
 
     ## Starting State
     Nothing has run, the prediction is −1, the history is empty.
@@ -83,10 +102,10 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     ## Information
     The same keys and shapes at every step, zeros where a technique did not run (`ran` is the
     mask): `frame`, `route` (number of the bank), `prediction`, `confidence`, `p_correct`,
-    `margin`, `technique` (trusted by MuSIC, −1: none), `ran`, `place`, `statistic`, `correction`,
-    `present`, `run_seconds`, `seconds`, `fallback`, `idle`, `compute_weight`, `reward_terms` and,
-    with `reselection`, `selection` (`happened`, `tally`, `selected`, `corrections` (T, M),
-    `late_runs`). Never ground truth.
+    `margin`, `technique` (of the highest statistic, −1: none), `ran`, `place`, `statistic`,
+    `correction`, `present`, `run_seconds`, `seconds`, `fallback`, `idle`, `compute_weight`,
+    `reward_terms` and, with `reselection`, `selection` (`happened`, `tally`, `selected`,
+    `corrections` (T, M), `late_runs`). Never ground truth.
 
     ## Arguments
     See :class:`amusic_gym.task.Task`; `reset` takes the options `bank`, `start` and

@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from amusic_gym import belief
 from amusic_gym.bank import ScoreBank
+from amusic_gym.belief import Minds
 from amusic_gym.calibration import coefficients
 from amusic_gym.dynamics import (
     RESULT,
@@ -94,6 +96,7 @@ class Episodes:
             history=settings.history,
             gamma=float(settings.gamma),
             evidence=settings.statistic == "evidence",
+            belief=settings.statistic == "belief",
             block=reselection,
             coverage=coverage,
             allow_idle=allow_idle,
@@ -102,40 +105,47 @@ class Episodes:
         self.stepped = np.zeros(
             num_routes, np.bool_
         )  # (N,) routes that processed a frame in the last step
-        self.state = self._allocate(references=1, frames=1, candidates=1)
+        self._room = (1, 1, 1)  # places, frames and candidates that there is room for
+        self.state, self.minds = self._allocate(*self._room)
 
-    def _allocate(self, references: int, frames: int, candidates: int) -> State:
+    def _allocate(self, references: int, frames: int, candidates: int) -> tuple[State, Minds]:
         n, s = self.num_routes, self.slots
         sets = 2 if self.rules.block else 1
-        return State(
+        mapped, summed = (references, 0) if self.rules.belief else (0, references + SLACK)
+        minds = belief.allocate(belief.fitted(), sets, n, s, mapped)
+        state = State(
             routes=np.zeros(n, ROUTE),
             slots=np.zeros((n, s), SLOT),
             runs=np.zeros((n, s), RUN),
             marks=np.zeros((2, n, s), SUMS),
-            sums=np.zeros((sets, n, s, references + SLACK)),
+            sums=np.zeros((sets, n, s, summed)),
             ran=np.zeros((n, s, frames), np.uint8),
             prefix=np.zeros((n, s, frames + 1)),
             values=np.zeros((s, candidates)),
             scratch=np.zeros(max(s, candidates)),
+            minds=minds.minds[0],
+            witnesses=minds.witnesses[0],
+            late=np.zeros((n, s), np.int64),
+            statistics=np.zeros((n, self.rules.block, s)),
+            corrections=np.zeros((n, s, self.rules.block)),
         )
+        return state, minds
 
     def _make_room(self, references: int, frames: int) -> None:
         """Grow the arrays for a route of that size, keeping the other routes' memory."""
-        old = self.state
-        references = max(references, old.sums.shape[-1] - SLACK)
-        frames = max(frames, old.ran.shape[-1])
-        candidates = max(min(self.settings.candidates, references), old.values.shape[-1])
-        if (references, frames, candidates) == (
-            old.sums.shape[-1] - SLACK,
-            old.ran.shape[-1],
-            old.values.shape[-1],
-        ):
+        wanted = (references, frames, min(self.settings.candidates, references))
+        places, queries, ranked = (max(pair) for pair in zip(wanted, self._room, strict=True))
+        room = (places, queries, ranked)
+        if room == self._room:
             return
-        new = self._allocate(references, frames, candidates)
+        old, old_minds = self.state, self.minds
+        new, minds = self._allocate(*room)
+        self._room = room
         for name in ("routes", "slots", "runs", "marks", "sums", "ran", "prefix"):
-            kept = getattr(old, name)
-            getattr(new, name)[tuple(slice(0, size) for size in kept.shape)] = kept
-        self.state = new
+            _keep(getattr(old, name), getattr(new, name))
+        for name in ("minds", "witnesses", "belief", "hubs"):
+            _keep(getattr(old_minds, name), getattr(minds, name))
+        self.state, self.minds = new, minds
 
     def begin(self, i: int, route: Route) -> None:
         """Start ``route`` as number ``i`` of the batch; nothing has run on it yet."""
@@ -169,10 +179,12 @@ class Episodes:
         slots["last_run"] = -1
         slots["seconds"][present] = bank.seconds[route.columns[present]]
         declare_costs(record, slots)
+        if self.rules.belief:
+            belief.begin(self.minds, i, bank.references)
         marks = state.marks[:, i]
         marks[:] = np.zeros(1, SUMS)
         marks["last"] = -1
-        marks["origin"] = state.sums.shape[-1] - bank.references
+        marks["origin"] = max(state.sums.shape[-1] - bank.references, 0)
         self._point(i)
 
     def _point(self, i: int) -> None:
@@ -216,6 +228,11 @@ class Episodes:
         live = [i for i, drive in enumerate(self.drives) if drive is not None and active[i]]
         if live:
             self._step_live(live, actions, out)
+        elif self.rules.belief and active.any():
+            self._look_back(actions)
+            step_routes(self.state, self.rules, active, actions, True, False, out)
+            self._hear()
+            step_routes(self.state, self.rules, active, actions, False, True, out)
         else:
             step_routes(self.state, self.rules, active, actions, True, True, out)
         bad = out.routes["bad_row"]
@@ -232,12 +249,44 @@ class Episodes:
         live = [i for i in live if self.stepped[i]]
         for i in live:
             self._run(i, self._missed(i) if self.rules.block and actions[i, -1] else [])
+        self._look_back(actions)
         step_routes(self.state, self.rules, self.stepped, actions, True, False, out)
         for i in live:
             frame = int(self.state.routes[i]["frame"]) + 1
             self._run(i, [(s, frame) for s in np.flatnonzero(out.slots["ran"][i]).tolist()])
+        self._hear()
         step_routes(self.state, self.rules, self.stepped, actions, False, True, out)
         self._broken &= ~self.stepped
+
+    def _look_back(self, actions: NDArray[np.bool_]) -> None:
+        """Let the belief go through the last block again where a selection is asked for."""
+        if not self.rules.belief or not self.rules.block:
+            return
+        state = self.state
+        frames = state.routes["frame"]
+        live = np.array([drive is not None for drive in self.drives])
+        state.late.fill(0)
+        belief.look_back(
+            self.minds,
+            self.stepped & actions[:, -1] & (frames >= 0),
+            self.stepped & live,
+            frames,
+            self.rules.block,
+            state.runs,
+            state.ran,
+            state.slots["present"],
+            state.routes["tolerance"],
+            state.late,
+            state.statistics,
+            state.corrections,
+        )
+
+    def _hear(self) -> None:
+        """Let the belief hear what runs on the next frame."""
+        if self.rules.belief:
+            state = self.state
+            frames, tolerances = state.routes["frame"], state.routes["tolerance"]
+            belief.hear_routes(self.minds, self.stepped, frames, state.runs, state.ran, tolerances)
 
     def _look_ahead(self, live: Sequence[int]) -> None:
         """Read the images of the next frame; routes whose source has ended take no step."""
@@ -317,6 +366,8 @@ class Episodes:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore a copy and write the addresses of its own banks' rows."""
         self.__dict__.update(state)
+        minds, witnesses = self.minds.minds[0], self.minds.witnesses[0]  # views again
+        self.state = self.state._replace(minds=minds, witnesses=witnesses)
         for i in range(self.num_routes):
             self._point(i)
 
@@ -325,3 +376,8 @@ class Episodes:
         memo[id(self)] = twin
         twin.__setstate__({k: copy.deepcopy(v, memo) for k, v in self.__dict__.items()})
         return twin
+
+
+def _keep(old: NDArray[Any], new: NDArray[Any]) -> None:
+    """Copy an array into the corner of a larger one."""
+    new[tuple(slice(0, size) for size in old.shape)] = old

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from amusic_gym._compile import inner
 from amusic_gym.settings import COMPUTE_WEIGHT_RANGE
 
-VERSION = 1
+VERSION = 2
 """Rises whenever the meaning or the order of an entry changes; trained runs store it."""
 
 TECHNIQUE_FEATURES = (
@@ -29,6 +29,8 @@ TECHNIQUE_FEATURES = (
     "support",
     "support_mean",
     "stored",
+    "trust",
+    "weight",
     "age",
     "chosen",
     "cost_share",
@@ -48,6 +50,11 @@ ROUTE_FEATURES = (
     "compute",
     "compute_mean",
     "agreeing",
+    "steady",
+    "said",
+    "said_mean",
+    "strange",
+    "size",
 )
 
 SQUASH_HALF = 4.0
@@ -90,11 +97,13 @@ def observe_technique(slot: Any, route: Any, out: Any) -> None:
     out[7] = squash(slot.support)
     out[8] = squash(slot.support_mean)
     out[9] = squash(slot.stored)
-    out[10] = squash(route.frame - slot.last_run) if slot.last_run >= 0 else 1.0
-    out[11] = slot.chosen
-    out[12] = slot.cost_share
-    out[13] = slot.cost_log
-    out[14] = slot.price
+    out[10] = slot.trust
+    out[11] = slot.weight
+    out[12] = squash(route.frame - slot.last_run) if slot.last_run >= 0 else 1.0
+    out[13] = slot.chosen
+    out[14] = slot.cost_share
+    out[15] = slot.cost_log
+    out[16] = slot.price
 
 
 @inner
@@ -112,6 +121,11 @@ def observe_route(route: Any, out: Any) -> None:
     out[9] = squash(route.compute)
     out[10] = squash(route.compute_mean)
     out[11] = route.agreeing
+    out[12] = route.steady
+    out[13] = squash(route.said)
+    out[14] = squash(route.said_mean)
+    out[15] = squash(route.strange)
+    out[16] = route.size_log
 
 
 @inner
@@ -132,6 +146,7 @@ def declare_costs(route: NDArray[Any], slots: NDArray[Any]) -> None:
     slots["cost_log"][present] = np.maximum(1.0 + np.log10(share) / 4.0, -1.0)
     price = np.log10(np.maximum(route["compute_weight"] * share, TINY))
     slots["price"][present] = np.clip(0.5 * price + 0.5, -1.0, 1.0)
+    route["size_log"] = np.clip(np.log10(route["references"]) / 3.0 - 1.0, -1.0, 1.0)
     weight = (np.log10(np.maximum(route["compute_weight"], TINY)) - _LOG_LOW) / _LOG_SPAN
     route["weight_log"] = np.clip(2.0 * weight - 1.0, -1.0, 1.0)
 

@@ -114,7 +114,14 @@ def _localise(policy: Localiser, bank: ScoreBank, name: str) -> Trace:
 
         def run(technique: int, frame: int = frame) -> NDArray[np.float32]:
             ran[frame, technique] = True
-            return bank.row(technique, frame)
+            row = bank.row(technique, frame)
+            if not np.isfinite(row).all():
+                raise ValueError(
+                    f"score bank {bank.name!r}: NaN or infinite score of technique"
+                    f" {bank.techniques[technique]!r} at frame {frame}; mend the scores and write"
+                    " the bank again"
+                )
+            return row
 
         predictions[frame], confidence[frame] = policy.locate(frame, run)
     return Trace.join(

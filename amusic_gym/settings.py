@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from amusic_gym.checks import number, whole
 from amusic_gym.names import suggest
 
-STATISTICS = ("mean", "evidence")
-"""``mean`` is the paper's average; ``evidence`` is Stouffer's weighted Z (docs/fidelity.md)."""
+STATISTICS = ("mean", "evidence", "belief")
+"""``mean`` is the paper's average, ``evidence`` Stouffer's weighted Z, ``belief`` the log-odds of a
+filter over places that follows any motion (docs/fidelity.md, docs/belief.md)."""
 
 BLOCK = 10
 """M: frames of a selection and of a re-selection test (A-MuSIC, IV-C)."""
@@ -25,7 +26,8 @@ class SICSettings:
     """How SIC corrects a technique (A-MuSIC, III-A and IV-C).
 
     Args:
-        statistic: ``"mean"`` (the paper) or ``"evidence"``.
+        statistic: ``"mean"`` (the paper), ``"evidence"`` or ``"belief"``. The other three are for
+            the first two: to the belief every place is a candidate, and it forgets as it sees fit.
         candidates: K, how many best-scoring places of a row are candidates; clipped to the map.
         history: F, how many past frames count besides the current one.
         gamma: weight of a row per frame of age, in (0, 1].
@@ -34,7 +36,7 @@ class SICSettings:
         ValueError: for an unknown statistic or a number out of range.
     """
 
-    statistic: str = "evidence"
+    statistic: str = "belief"
     candidates: int = 50
     history: int = 1000
     gamma: float = 1.0

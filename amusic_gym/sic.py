@@ -289,7 +289,7 @@ class SIC:
 
     Args:
         references: R, places of the map.
-        settings: statistic, K, F and γ.
+        settings: statistic, K, F and γ; by default those of ``evidence``.
 
     Example:
         >>> sic = SIC(references=3)
@@ -297,13 +297,19 @@ class SIC:
         1
 
     Raises:
-        ValueError: for a map without places.
+        ValueError: for a map without places, and for the statistic ``belief``, which no technique
+            has by itself.
     """
 
     def __init__(self, references: int, settings: SICSettings | None = None) -> None:
         if references < 1:
             raise ValueError(f"references is {references}; a map has at least one place")
-        self.settings = settings or SICSettings()
+        self.settings = settings or SICSettings(statistic="evidence")
+        if self.settings.statistic == "belief":
+            raise ValueError(
+                "statistic is 'belief', which all techniques share, but SIC corrects one alone;"
+                " give 'evidence' or 'mean', or take TechniqueSelectionEnv(statistic='belief')"
+            )
         self.references = references
         self.frame = -1
         self._history = _History.empty(64, references, self.settings.candidates)

@@ -55,7 +55,7 @@ class Task:
         num_routes: N.
         bank: folder, :class:`~amusic_gym.bank.ScoreBank`, :class:`~amusic_gym.live.LiveRoute`,
             list of these, a :class:`~amusic_gym.sources.RouteSource`, or None for simulated routes.
-        statistic: SIC's statistic, ``"evidence"`` or ``"mean"``.
+        statistic: ``"belief"``, or SIC's ``"evidence"`` or ``"mean"`` (:mod:`amusic_gym.settings`).
         candidates: K.
         history: F.
         gamma: weight of a row per frame of age.

@@ -10,10 +10,17 @@ from collections.abc import Callable
 from amusic_gym.names import suggest
 from amusic_gym.policy import Context, Policy
 from baselines.amusic import amusic
+from baselines.borda import borda
 from baselines.cascade import cascade
+from baselines.dynmpf import dynmpf
+from baselines.hmm import hmm
+from baselines.hmpf import hmpf
+from baselines.mpf import mpf
 from baselines.oracle import oracle
+from baselines.plurality import plurality
 from baselines.raw import raw
 from baselines.subset import music, single, subset
+from baselines.switchhit import switchhit
 from baselines.uniform import uniform
 
 Factory = Callable[[str | None, Context], Policy]
@@ -27,7 +34,26 @@ POLICIES: dict[str, Factory] = {
     "random": uniform,
     "cascade": cascade,
     "oracle": oracle,
+    "mpf": mpf,
+    "hmpf": hmpf,
+    "dynmpf": dynmpf,
+    "switchhit": switchhit,
+    "plurality": plurality,
+    "borda": borda,
+    "hmm": hmm,
 }
+
+NEEDS_GROUND_TRUTH = {
+    "oracle": "of the route itself",
+    "switchhit": "of routes to learn from",
+}
+"""Policies that a robot could not run without labelled frames -> which labels they need."""
+
+
+def label(spec: str) -> str:
+    """How to show a policy where policies are compared: marked if it needs ground truth."""
+    needed = NEEDS_GROUND_TRUTH.get(spec.partition(":")[0])
+    return f"{spec} (needs ground truth {needed})" if needed else spec
 
 
 def make_policy(spec: str, context: Context) -> Policy:
@@ -42,4 +68,4 @@ def make_policy(spec: str, context: Context) -> Policy:
     return POLICIES[name](argument if colon else None, context)
 
 
-__all__ = ["POLICIES", "make_policy"]
+__all__ = ["NEEDS_GROUND_TRUTH", "POLICIES", "label", "make_policy"]

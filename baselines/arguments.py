@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 
 def required(policy: str, argument: str | None, form: str) -> str:
     """The argument of a policy that needs one.
@@ -22,3 +24,47 @@ def none(policy: str, argument: str | None) -> None:
     """
     if argument is not None:
         raise ValueError(f"policy {policy!r} takes no argument, got {argument!r}; write {policy}")
+
+
+def parts(policy: str, argument: str, form: str) -> list[str]:
+    """The parts of an argument such as ``CHEAP/HOLD/THRESHOLD``, as many as ``form`` has.
+
+    Raises:
+        ValueError: for another number of parts.
+    """
+    found = argument.split("/")
+    if len(found) != len(form.split("/")):
+        raise ValueError(f"{policy}:{argument} is not of the form {policy}:{form}; write it so")
+    return found
+
+
+def whole(policy: str, argument: str, name: str, text: str, least: int, most: int) -> int:
+    """A whole number out of ``argument``, called ``name`` in the sentence that refuses.
+
+    Raises:
+        ValueError: for anything else, or one out of range.
+    """
+    short = text.isascii() and text.isdigit() and len(text) < 20  # Python refuses endless numbers
+    if not (short and least <= int(text) <= most):
+        raise ValueError(
+            f"{policy}:{argument}: {name} is {text!r}; give a whole number from {least} to {most}"
+        )
+    return int(text)
+
+
+def number(
+    policy: str, argument: str, name: str, text: str, least: float, most: float = math.inf
+) -> float:
+    """A finite number out of ``argument``, called ``name`` in the sentence that refuses.
+
+    Raises:
+        ValueError: for anything else, or one out of range.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and least <= value <= most):
+        wanted = f"in [{least:g}, {most:g}]" if math.isfinite(most) else f">= {least:g}"
+        raise ValueError(f"{policy}:{argument}: {name} is {text!r}; give a number {wanted}")
+    return value

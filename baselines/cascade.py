@@ -8,12 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from amusic_gym.names import suggest
 from amusic_gym.policy import Context, Needs
-from baselines.arguments import none
+from baselines.arguments import number, parts, whole
 
 CHEAP = 2
 HOLD = 20
 THRESHOLD = 0.5
+FORM = "CHEAP/HOLD/THRESHOLD"
+
+DOUBTS = {"p": "p_correct", "margin": "margin"}
+"""What a threshold may be of -> its name in the environment's infos."""
 
 
 class Cascade:
@@ -24,15 +29,23 @@ class Cascade:
     Args:
         cheap: how many techniques always run.
         hold: frames for which the others run after a doubt.
-        threshold: p̂ below which there is doubt.
+        threshold: p̂, or margin, below which there is doubt.
+        doubt: ``"p_correct"`` or ``"margin"``, the fused statistic's lead over its best rival.
     """
 
     needs = Needs()
 
-    def __init__(self, cheap: int = CHEAP, hold: int = HOLD, threshold: float = THRESHOLD) -> None:
+    def __init__(
+        self,
+        cheap: int = CHEAP,
+        hold: int = HOLD,
+        threshold: float = THRESHOLD,
+        doubt: str = DOUBTS["p"],
+    ) -> None:
         self.cheap = cheap
         self.hold = hold
         self.threshold = threshold
+        self.doubt = doubt
         self._left = np.zeros(0, np.int64)  # (N,) frames for which the dear ones still run
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
@@ -43,7 +56,7 @@ class Cascade:
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
         """Cheap subset, and everything while in doubt."""
-        doubt = (info["p_correct"] < self.threshold) & (info["frame"] >= 0)
+        doubt = (info[self.doubt] < self.threshold) & (info["frame"] >= 0)
         self._left = np.where(doubt, self.hold, np.maximum(self._left - 1, 0))
         seconds = np.where(info["present"], info["run_seconds"], np.inf)
         ranks = np.argsort(np.argsort(seconds, axis=1, kind="stable"), axis=1)
@@ -51,6 +64,20 @@ class Cascade:
 
 
 def cascade(argument: str | None, context: Context) -> Cascade:
-    """``cascade``: the cheapest two, the others for 20 frames after p̂ falls below 0.5."""
-    none("cascade", argument)
-    return Cascade()
+    """``cascade`` or ``cascade:CHEAP/HOLD/THRESHOLD``; without, the cheapest two, 20 frames, 0.5.
+
+    The threshold is of p̂; ``p=0.5`` says so, ``margin=2`` is one of the margin.
+    """
+    if argument is None:
+        return Cascade()
+    cheap, hold, threshold = parts("cascade", argument, FORM)
+    kind, equals, value = threshold.rpartition("=")
+    kind = kind if equals else "p"
+    if kind not in DOUBTS:
+        raise ValueError(f"cascade:{argument}: {suggest('kind of doubt', kind, DOUBTS)}")
+    return Cascade(
+        whole("cascade", argument, "CHEAP", cheap, 1, len(context.techniques)),
+        whole("cascade", argument, "HOLD", hold, 1, 1_000_000),
+        number("cascade", argument, "THRESHOLD", value, 0.0, *([1.0] if kind == "p" else [])),
+        DOUBTS[kind],
+    )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from baselines.arguments import none
 
 
 class Oracle:
-    """Runs the cheapest technique whose corrected match is right, given its own history.
+    """Runs the cheapest technique after which the fused prediction is right, given what ran so far.
 
     Where none is right, the cheapest technique runs. It knows scores and ground truth beforehand,
     from the constructor alone.
@@ -29,7 +30,7 @@ class Oracle:
         self.bank = bank
         self.settings = settings
         self.needs = Needs(statistic=settings.statistic)
-        self._order = np.argsort(bank.seconds, kind="stable")
+        self._order = np.argsort(bank.seconds, kind="stable").tolist()
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
         """Begin the route anew.
@@ -37,31 +38,85 @@ class Oracle:
         Raises:
             ValueError: for more than one route: the oracle knows one.
         """
-        from amusic_gym.sic import SIC
-
         if mask.size != 1:
             raise ValueError(f"the oracle knows one route, not {mask.size}; run one at a time")
-        self._sics = [SIC(self.bank.references, self.settings) for _ in self.bank.techniques]
+        foresight = _Belief if self.settings.statistic == "belief" else _Diagonals
+        self._foresight: _Foresight = foresight(self.bank, self.settings)
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
         """One bit: the cheapest technique that will be right."""
         frame = int(info["frame"][0]) + 1
         chosen = self._choose(frame)
-        for technique, sic in enumerate(self._sics):
-            if technique == chosen:
-                sic.correct(self.bank.row(technique, frame))
-            else:
-                sic.skip()
-        actions = np.zeros((1, len(self._sics)), np.bool_)
+        self._foresight.take(chosen, frame)
+        actions = np.zeros((1, len(self._order)), np.bool_)
         actions[0, chosen] = True
         return actions
 
     def _choose(self, frame: int) -> int:
         for technique in self._order:
-            match = self._sics[technique].preview(self.bank.row(int(technique), frame))
-            if self.bank.truth.correct(np.array([match.place]), np.array([frame]))[0]:
+            place = self._foresight.place(technique, frame)
+            if self.bank.truth.correct(np.array([place]), np.array([frame]))[0]:
                 return int(technique)
         return int(self._order[0])
+
+
+class _Foresight(Protocol):
+    """What the next frame would come to."""
+
+    def __init__(self, bank: ScoreBank, settings: SICSettings) -> None:
+        """Begin the route."""
+
+    def place(self, technique: int, frame: int) -> int:
+        """The prediction if only this technique ran on the frame."""
+        ...
+
+    def take(self, technique: int, frame: int) -> None:
+        """Let it run there."""
+        ...
+
+
+class _Diagonals:
+    """Each technique's own SIC: where one technique runs per frame, MuSIC takes its match."""
+
+    def __init__(self, bank: ScoreBank, settings: SICSettings) -> None:
+        from amusic_gym.sic import SIC
+
+        self.bank = bank
+        self.sics = [SIC(bank.references, settings) for _ in bank.techniques]
+
+    def place(self, technique: int, frame: int) -> int:
+        return self.sics[technique].preview(self.bank.row(technique, frame)).place
+
+    def take(self, technique: int, frame: int) -> None:
+        for other, sic in enumerate(self.sics):
+            if other == technique:
+                sic.correct(self.bank.row(technique, frame))
+            else:
+                sic.skip()
+
+
+class _Belief:
+    """The route itself, driven a second time: all techniques feed one belief."""
+
+    def __init__(self, bank: ScoreBank, settings: SICSettings) -> None:
+        from amusic_gym.episode import Episodes, Route
+
+        columns = np.arange(len(bank.techniques))
+        self.episodes = Episodes(1, columns.size, settings)
+        self.episodes.begin(0, Route(bank, 0, bank.queries, columns, 1.0, 0))
+
+    def place(self, technique: int, frame: int) -> int:
+        return self._step(copy.deepcopy(self.episodes), technique)
+
+    def take(self, technique: int, frame: int) -> None:
+        self._step(self.episodes, technique)
+
+    @staticmethod
+    def _step(episodes: Any, technique: int) -> int:
+        actions = np.zeros((1, episodes.slots), np.bool_)
+        actions[0, technique] = True
+        out = episodes.step(np.ones(1, np.bool_), actions)
+        return int(out.routes["prediction"][0])
 
 
 def oracle(argument: str | None, context: Context) -> Oracle:

@@ -2,13 +2,14 @@
 
 The routes are drawn under ordinary conditions: no technique is blind in any of them, as none is on
 the recordings that the simulation was compared with. docs/fidelity.md says what other populations
-give.
+give. For the belief, which follows any motion, half of the routes are re-timed.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from amusic_gym import __version__
 from amusic_gym.bank import ScoreBank
-from amusic_gym.calibration import FILE, design, fit
+from amusic_gym.calibration import FILE, UNCALIBRATED, design, fit
 from amusic_gym.routes.simulate import Simulation
 from amusic_gym.settings import STATISTICS
 from amusic_gym.trace import write_whole
@@ -27,17 +28,25 @@ from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 ORDINARY = Simulation(
     queries=(50, 400), ability=(0.5, 0.95), exclusive=0.0, useless=0.0, all_fail=0.0
 )
-RATES = (0.1, 0.3, 0.6, 0.9)
+ROUTES = {  # statistic -> what its routes are drawn from
+    "mean": ORDINARY,
+    "evidence": ORDINARY,
+    "belief": replace(ORDINARY, retimed=0.5),
+}
+RATES = (0.1, 0.3, 0.6, 0.9)  # shares of the techniques that run on a frame
 
 Samples = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]
 Actions = Callable[[], NDArray[np.bool_]]
 
 
 def collect(banks: list[ScoreBank], statistic: str, candidates: int, act: Actions) -> Samples:
-    """Confidence, margin and correctness of every frame of the banks under some activity."""
+    """Statistic, margin and correctness of every frame of the banks under some activity."""
     env = TechniqueSelectionVectorEnv(
         len(banks), list(banks), statistic=statistic, candidates=candidates
     )
+    if statistic == "belief":  # whose confidence is calibrated; what is fitted must not be
+        episodes = env.task.episodes
+        episodes.rules = episodes.rules._replace(calibration=np.array(UNCALIBRATED))
     env.reset(options={"bank": np.arange(len(banks)), "start": 0})
     confidence, margin, correct = [], [], []
     for frame in range(max(bank.queries for bank in banks)):
@@ -64,11 +73,13 @@ def calibrate(banks: list[ScoreBank], statistic: str, seed: int) -> dict[str, li
     confidence, margin, correct = (
         np.concatenate(pair) for pair in zip(steady, random, strict=True)
     )
-    alone = collect(banks, statistic, 1, lambda: single)
-    return {
-        "rival": np.round(fit(design(confidence, margin), correct), 4).tolist(),
-        "alone": np.round(fit(design(alone[0], None), alone[2]), 4).tolist(),
-    }
+    belief = statistic == "belief"
+    with_rival = fit(design(confidence, margin, logarithms=belief), correct)
+    fitted = {"rival": np.round(with_rival, 4).tolist()}
+    if not belief:  # there, every place is a candidate
+        alone = collect(banks, statistic, 1, lambda: single)
+        fitted["alone"] = np.round(fit(design(alone[0], None), alone[2]), 4).tolist()
+    return fitted
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -79,13 +90,14 @@ def main(arguments: list[str] | None = None) -> None:
     default = Path(__file__).parent.parent / "amusic_gym" / FILE
     parser.add_argument("--out", type=Path, default=default, help="the package's file")
     given = parser.parse_args(arguments)
-    banks = [ORDINARY.route(np.random.default_rng([given.seed, i])) for i in range(given.routes)]
     table: dict[str, Any] = {
         "made_by": f"python scripts/calibrate.py --routes {given.routes} --seed {given.seed}",
         "version": __version__,
         "coefficients": {},
     }
     for statistic in STATISTICS:
+        seeds = [[given.seed, i] for i in range(given.routes)]
+        banks = [ROUTES[statistic].route(np.random.default_rng(seed)) for seed in seeds]
         table["coefficients"][statistic] = calibrate(banks, statistic, given.seed)
         print(statistic, table["coefficients"][statistic])
     write_whole(given.out, (json.dumps(table, indent=1) + "\n").encode())

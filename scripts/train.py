@@ -1,4 +1,9 @@
-"""Train a selector with PPO on simulated routes or given banks."""
+"""Train a selector on simulated routes or given banks.
+
+ALGORITHM: ppo (default), imitation (of a cascade chosen on simulated routes), imitation+ppo, dqn
+(the value of every subset), maskable (MaskablePPO over subsets), recurrent (RecurrentPPO),
+reselect (PPO on when to select again).
+"""
 
 from __future__ import annotations
 
@@ -15,25 +20,53 @@ if TYPE_CHECKING:
 
 def main(arguments: list[str] | None = None) -> None:
     """Parse, train, say where the selector is."""
+    given = _parser().parse_args(arguments)
+    learn(given, _config(given))
+    print(f"The best selector is in {given.out}; compare it with --policy ppo:{given.out}")
+
+
+def learn(given: argparse.Namespace, config: TrainingConfig) -> None:
+    """Train with the configuration's algorithm, after choosing a teacher where it needs one."""
     from agents.training import train  # here, so that Ctrl-C in its long import ends well too
 
-    given = _parser().parse_args(arguments)
-    train(given.out, _config(given), banks=given.bank, resume=given.resume)
-    print(f"The best selector is in {given.out}; compare it with --policy ppo:{given.out}")
+    if "imitation" in config.algorithm:
+        _imitate(given, config)
+    else:
+        start = given.warm_start
+        train(given.out, config, banks=given.bank, resume=given.resume, warm_start=start)
+
+
+def _imitate(given: argparse.Namespace, config: TrainingConfig) -> None:
+    from _train_teacher import make_teacher
+
+    from agents.imitation import IMITATION, imitate, imitate_then_train
+    from agents.training import refuse_used
+
+    alone = config.algorithm == "imitation"
+    folder = given.out if alone else given.out / IMITATION
+    if not given.resume:  # choosing the teacher takes a while
+        refuse_used(given.out)
+        refuse_used(folder)
+    teacher = make_teacher(folder, config, resume=given.resume)
+    run_it = imitate if alone else imitate_then_train
+    run_it(given.out, config, teacher, banks=given.bank, resume=given.resume)
 
 
 def _parser() -> Parser:
     from agents.config import TrainingConfig
+    from agents.learners import ALGORITHMS
 
     defaults = TrainingConfig()
-    parser = Parser(description=(__doc__ or "").splitlines()[0])
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("--out", type=Path, required=True, help="run folder")
+    add("--algorithm", choices=list(ALGORITHMS), help=f"see above (default: {defaults.algorithm})")
     add("--bank", action="append", default=[], help="train on this bank (repeat)")
     add("--timesteps", type=int, help=f"frames in all (default: {defaults.timesteps})")
     add("--seed", type=int, help=f"of routes, weights and draws (default: {defaults.seed})")
     add("--n-envs", type=int, help=f"routes side by side (default: {defaults.n_envs})")
-    add("--statistic", help=f"mean or evidence (default: {defaults.statistic})")
+    add("--statistic", help=f"of SIC (default: {defaults.statistic})")
+    add("--warm-start", type=Path, metavar="RUN", help="let ppo begin from this run's selector")
     add(
         "--resume",
         action="store_true",
@@ -44,18 +77,37 @@ def _parser() -> Parser:
 
 def _config(given: argparse.Namespace) -> TrainingConfig:
     """The defaults, or the configuration of the run to resume, with what was given."""
-    from agents.config import TrainingConfig, stored_config
+    from agents.config import WARM_START, training_config
 
-    base = stored_config(given.out) if given.resume else TrainingConfig()
-    names = ("timesteps", "seed", "n_envs", "statistic")
+    names = ("algorithm", "timesteps", "seed", "n_envs", "statistic")
     chosen = {name: getattr(given, name) for name in names if getattr(given, name) is not None}
-    for name in chosen.keys() - {"timesteps"} if given.resume else ():
+    algorithm = chosen.get("algorithm", "ppo")
+    if given.warm_start and (given.resume or algorithm != "ppo"):
+        raise ValueError(
+            "--warm-start begins a training with ppo; leave it out to resume, or with another"
+            " algorithm"
+        )
+    if not given.resume:
+        defaults = WARM_START if given.warm_start else {}
+        return training_config(**{"algorithm": algorithm, **defaults, **chosen})
+    base = _stored(given.out)
+    for name in chosen.keys() - {"timesteps"}:
         if chosen[name] != getattr(base, name):
             raise ValueError(
                 f"{name} is {chosen[name]}, but {given.out} was trained with"
                 f" {getattr(base, name)}; leave it out to resume, or give another folder"
             )
     return replace(base, **chosen)
+
+
+def _stored(out: Path) -> TrainingConfig:
+    """The configuration of a run, or of the imitation that it was stopped in."""
+    from agents.config import stored_config
+    from agents.imitation import IMITATION
+    from agents.run_folder import CONFIG
+
+    begun = (out / CONFIG).exists() or not (out / IMITATION / CONFIG).exists()
+    return stored_config(out if begun else out / IMITATION)
 
 
 if __name__ == "__main__":

@@ -26,6 +26,8 @@ from oracle_metrics import (
 # Rows, patterns and confidences are read by index only: a nested list or a NumPy array both do.
 Numbers = Any
 
+STATISTICS = ("mean", "evidence")  # those that sum along diagonals
+
 RELATIVE_TIE = 1e-9
 ABSOLUTE_TIE = 1e-12
 

@@ -13,6 +13,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 
 from agents.adapter import SB3VecEnv
 from amusic_gym.bank import ScoreBank
+from amusic_gym.observation import ROUTE_FEATURES
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 BANKS = [random_bank(1), random_bank(2, queries=7, references=90), random_bank(3, queries=25)]
@@ -95,10 +96,11 @@ def test_options_of_each_route_count_for_the_next_reset_only():
     np.testing.assert_array_equal(wrapped.reset(), expected)
     done = [wrapped.step(np.ones((2, 3)))[2].tolist() for _ in range(7)]
     assert done == [[False, False]] * 6 + [[True, False]]  # bank 1 has seven frames
-    weights = {tuple(wrapped.reset()[:, -12]) for _ in range(3)}
+    position = ROUTE_FEATURES.index("compute_weight") - len(ROUTE_FEATURES)
+    weights = {tuple(wrapped.reset()[:, position]) for _ in range(3)}
     assert len(weights) == 3  # drawn again
     wrapped.set_options({"compute_weight": 1.0})
-    assert np.ptp(wrapped.reset()[:, -12]) == 0
+    assert np.ptp(wrapped.reset()[:, position]) == 0
 
 
 def test_options_of_other_names_on_every_route_are_refused():

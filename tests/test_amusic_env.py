@@ -94,7 +94,7 @@ def assert_route(infos: list[dict], expected: oracle.Route, seconds) -> None:
 @given(
     st.integers(0, 2**32),
     st.lists(techniques, min_size=1, max_size=3),
-    st.sampled_from(STATISTICS),
+    st.sampled_from(oracle.STATISTICS),
     blocks,
     shares,
     st.sampled_from([0.05, 0.3, 0.8]),
@@ -112,7 +112,7 @@ def test_rule_is_the_loops(seed, widths, statistic, block, share, alpha, sic):
         assert_route(infos, expected, bank.seconds)
 
 
-@pytest.mark.parametrize("statistic", STATISTICS)
+@pytest.mark.parametrize("statistic", oracle.STATISTICS)
 def test_rule_reselects_on_a_smooth_route(statistic):
     bank = random_bank(4, techniques=5, queries=90, references=100)
     expected = oracle.amusic(bank.scores, statistic=statistic, alpha=0.3)
@@ -194,7 +194,7 @@ def test_39_t_test_is_the_one_of_the_loops(pairs, alpha):
     assert differ(before, after, alpha) == (oracle.paired_t_test(before, after) < alpha)
 
 
-@pytest.mark.parametrize("statistic", STATISTICS)
+@pytest.mark.parametrize("statistic", oracle.STATISTICS)
 @pytest.mark.parametrize("gamma", [1.0, 0.9])
 def test_39_a_standing_robot_is_no_change(statistic, gamma):
     """Equal frames give equal, non-zero corrections; rounding must not look like a change."""
@@ -246,7 +246,7 @@ def follow(bank: ScoreBank, actions, block: int, share: float, sic) -> oracle.Ro
         st.integers(1, 12),
         st.sampled_from([0, 3, 1000]),
         st.sampled_from([1.0, 0.9]),
-        st.sampled_from(STATISTICS),
+        st.sampled_from(oracle.STATISTICS),
     ),
     st.floats(0.05, 0.9),
     st.floats(0.05, 0.6),
@@ -287,6 +287,28 @@ def test_selections_on_a_route_longer_than_the_room_of_the_sums():
     assert [info["prediction"] for info in infos] == expected.predictions
     confidences = [info["confidence"] for info in infos]
     np.testing.assert_allclose(confidences, expected.confidences, **CLOSE)
+
+
+@pytest.mark.parametrize("statistic", STATISTICS)
+def test_after_a_selection_all_is_as_if_everything_had_run_on_its_block(statistic):
+    bank, block, selections = random_bank(7), 5, [3, 14, 17, 30]  # two blocks overlap
+    actions = np.random.default_rng(2).random((bank.queries, 4)) < 0.4
+    actions[:, -1] = False
+    actions[selections, -1] = True
+    env = TechniqueSelectionEnv(bank, statistic=statistic, reselection=block, allow_idle=True)
+    env.reset()
+    infos = [env.step(action)[4] for action in actions]
+    plain = TechniqueSelectionEnv(bank, statistic=statistic, allow_idle=True)
+    for stop, following in zip(selections, [*selections[1:], bank.queries], strict=True):
+        ran = np.stack([info["ran"] for info in infos])
+        for selection in selections[: selections.index(stop) + 1]:
+            ran[max(0, selection - block) : selection] = True
+        plain.reset()
+        hindsight = [plain.step(row)[4] for row in ran[:following]]
+        for info, expected in zip(infos[stop:following], hindsight[stop:], strict=True):
+            assert info["prediction"] == expected["prediction"]
+            for key in ("confidence", "p_correct", "place", "statistic", "correction"):
+                np.testing.assert_allclose(info[key], expected[key], **CLOSE)
 
 
 def test_late_runs_leave_earlier_predictions_as_they_were():

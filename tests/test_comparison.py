@@ -14,8 +14,10 @@ from env_cases import random_bank
 from test_rollout import Cycle, assert_same
 
 from amusic_gym import comparison_files
+from amusic_gym.audit import audit
 from amusic_gym.bank import ScoreBank
 from amusic_gym.comparison import (
+    Comparison,
     Contestant,
     all_subsets,
     check_weights,
@@ -23,11 +25,13 @@ from amusic_gym.comparison import (
     distinct,
     draw,
     file_stem,
+    partings,
     table,
 )
 from amusic_gym.metrics import summarise
 from amusic_gym.policy import Context
 from amusic_gym.rollout import rollout
+from amusic_gym.trace import Trace
 from baselines import make_policy
 
 ROW_KEYS = [
@@ -320,7 +324,8 @@ def test_mean_is_over_the_policies_that_every_bank_has(tmp_path):
 
     result = compare([one, other], lineup, tmp_path, report=len)
     assert [row["policy"] for row in result.mean] == ["music"]
-    assert table(result).count("single:A") == 1
+    rows_of_tables = table(result).partition("WARNING")[0]
+    assert rows_of_tables.count("single:A") == 1
     draw(result, tmp_path / "figures")
 
 
@@ -368,7 +373,7 @@ def test_table_says_what_the_rows_say(tmp_path):
     lineup = Lineup("amusic", "weighted", weights=[0.1])
     result = compare(two_banks(), lineup, tmp_path, report=len)
     blocks = table(result).split("\n\n")
-    assert [block.splitlines()[0] for block in blocks] == [
+    assert [block.splitlines()[0] for block in blocks[:3]] == [
         "bank1 (20 frames, measured costs)",
         "bank2 (30 frames, measured costs)",
         "mean over 2 banks (50 frames, measured costs)",
@@ -378,6 +383,60 @@ def test_table_says_what_the_rows_say(tmp_path):
     row = result.rows[0]
     assert amusic[:3] == ["amusic", "mean", f"{row['accuracy']:.4f}"]
     assert weighted_line[:3] == ["weighted", "0.1", "mean"]
+
+
+def estimated(correct: list[bool], p_correct: list[float], **options) -> Trace:
+    """A trace with these outcomes and estimates; nothing else about it matters."""
+    frames = len(correct)
+    bank = random_bank(1, techniques=1, queries=frames, tolerance=0, name=options["bank"])
+    return Trace.join(
+        bank,
+        predictions=np.where(correct, np.arange(frames), -1),
+        confidence=np.zeros(frames),
+        ran=np.ones((frames, 1)),
+        p_correct=p_correct,
+        policy=options.get("policy", "ppo:run"),
+        statistic="evidence",
+        compute_weight=options.get("weight"),
+    )
+
+
+def test_partings_of_estimate_and_truth_are_told_once_per_policy_and_bank():
+    half = [True, False, True, False]
+    traces = [
+        estimated(half, [0.9, 0.9, 0.8, 0.8], bank="a", weight=0.1),
+        estimated(half, [0.7] * 4, bank="a", weight=0.3),
+        estimated(half, [0.55] * 4, bank="a", weight=1.0),
+        estimated(half, [0.6] * 4, bank="b", weight=0.1),  # by .1 exactly
+        estimated(half, [0.4, 0.3, 0.4, 0.3], bank="b", policy="music"),
+        estimated(half, [np.nan] * 4, bank="b", policy="raw:T0"),
+    ]
+    assert partings(traces) == [
+        "WARNING: ppo:run on a: mean p̂ 0.850 is 0.350 above the accuracy 0.500"
+        " (λ 0.1; 2 of 3 part so)",
+        "WARNING: music on b: mean p̂ 0.350 is 0.150 below the accuracy 0.500",
+    ]
+    rows = [summarise(trace) for trace in traces]
+    blocks = table(Comparison(traces, rows, [])).split("\n\n")
+    assert blocks[-1] == "\n".join(partings(traces))
+    calm = [traces[2], traces[3]]
+    assert "WARNING" not in table(Comparison(calm, [rows[2], rows[3]], []))
+
+
+def test_audit_is_over_the_frames_that_have_an_estimate():
+    nan = float("nan")
+    trace = estimated([True, False, True, True], [0.9, 0.2, nan, 0.1], bank="a")
+    held = audit(trace)
+    assert held is not None
+    assert held.accuracy == pytest.approx(2 / 3)
+    assert held.p_correct == pytest.approx(0.4)
+    assert held.gap == pytest.approx(0.4 - 2 / 3)
+    assert held.auroc == pytest.approx(0.5)
+    assert held.calibration_error == pytest.approx((0.1 + 0.2 + 0.9) / 3)
+    alike = audit(estimated([True, True], [0.9, 0.8], bank="a"))
+    assert alike is not None
+    assert alike.auroc is None
+    assert audit(estimated([True], [nan], bank="a")) is None
 
 
 def figure_names(tmp_path, *names, weights=(1.0,), banks=None) -> set[str]:

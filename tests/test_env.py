@@ -19,6 +19,7 @@ from env_cases import (
     random_bank,
 )
 from gymnasium.utils.env_checker import check_env
+from oracle import STATISTICS as DIAGONAL
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from amusic_gym import env as env_module
@@ -29,6 +30,7 @@ from amusic_gym.observation import (
     observation_size,
 )
 from amusic_gym.rewards import RewardInputs
+from amusic_gym.settings import STATISTICS
 
 ARGUMENTS = [
     {},
@@ -113,15 +115,18 @@ def test_terms_sum_to_the_reward(bank, reward):
         assert terms["correctness"] == expected
 
 
-def test_no_prediction_is_wrong():
+@pytest.mark.parametrize("statistic", STATISTICS)
+def test_no_prediction_is_wrong(statistic):
     truth = np.zeros((6, 5), bool)
     truth[:, -1] = True  # truth[q, -1] must not be read
     bank = ScoreBank(np.zeros((1, 6, 5)), ["A"], [1.0], tolerance=0, ground_truth=truth)
-    env = TechniqueSelectionEnv(bank, reward="ground_truth", allow_idle=True)
+    env = TechniqueSelectionEnv(bank, statistic=statistic, reward="ground_truth", allow_idle=True)
     env.reset(seed=0)
     _, reward, _, _, info = env.step([0])
     assert info["prediction"] == -1
     assert reward == 0.0
+    if statistic == "belief":  # all places are as likely, so any may be the prediction
+        return
     predictions = []
     for action in ([1], [0], [0], [0], [0]):
         _, reward, _, _, info = env.step(action)
@@ -199,8 +204,9 @@ def test_empty_action_runs_the_cheapest(bank):
     assert not env.step([1, 0, 0])[4]["fallback"]
 
 
-def test_idle_moves_on_and_decays(bank):
-    env = TechniqueSelectionEnv(bank, allow_idle=True)
+@pytest.mark.parametrize("statistic", DIAGONAL)
+def test_idle_moves_on_and_decays(bank, statistic):
+    env = TechniqueSelectionEnv(bank, statistic=statistic, allow_idle=True)
     last = infos_of(env, [[1, 1, 1]])[0]
     for _ in range(39):
         _, reward, _, _, info = env.step([0, 0, 0])
@@ -215,9 +221,24 @@ def test_idle_moves_on_and_decays(bank):
     assert not any(info["ran"])
 
 
-def test_idle_at_the_maps_end_stays_there():
+def test_idle_moves_the_belief_on(bank):
+    env = TechniqueSelectionEnv(bank, statistic="belief", allow_idle=True)
+    sure = last = infos_of(env, [[1, 1, 1]] * 12)[-1]
+    for _ in range(28):
+        _, reward, _, _, info = env.step([0, 0, 0])
+        assert info["idle"]
+        assert info["technique"] == -1
+        assert info["seconds"] == 0.0
+        assert info["prediction"] == last["prediction"] + 1
+        assert reward == info["p_correct"]
+        assert info["p_correct"] < sure["p_correct"]
+        last = info
+
+
+@pytest.mark.parametrize("statistic", STATISTICS)
+def test_idle_at_the_maps_end_stays_there(statistic):
     bank = random_bank(1, queries=30, references=30)
-    env = TechniqueSelectionEnv(bank, allow_idle=True)
+    env = TechniqueSelectionEnv(bank, statistic=statistic, allow_idle=True)
     infos = infos_of(env, [[1, 1, 1]] + [[0, 0, 0]] * 28, options={"start": 1})
     places = [info["prediction"] for info in infos]
     infos = infos_of(env, [[1, 1, 1]] * 25 + [[0, 0, 0]] * 4, options={"start": 1})
@@ -226,7 +247,9 @@ def test_idle_at_the_maps_end_stays_there():
     scores = np.zeros((1, 4, 3))
     scores[:, :, 2] = 1.0
     end = ScoreBank(scores, ["A"], [1.0], tolerance=0, ground_truth=[2, 2, 2, 2])
-    infos = infos_of(TechniqueSelectionEnv(end, allow_idle=True), [[1], [0], [0], [0]])
+    infos = infos_of(
+        TechniqueSelectionEnv(end, statistic=statistic, allow_idle=True), [[1], [0], [0], [0]]
+    )
     assert [info["prediction"] for info in infos] == [2, 2, 2, 2]
 
 
@@ -306,6 +329,21 @@ def test_wrong_reset_options_are_refused(bank, options, words):
         env.reset(options=options)
     env.reset()
     env.step([1, 0, 0])
+
+
+@pytest.mark.parametrize("statistic", STATISTICS)
+def test_an_episode_knows_nothing_of_the_ones_before(bank, statistic):
+    long = random_bank(8, queries=70, references=90)
+    arguments = {"statistic": statistic, "reselection": 3, "allow_idle": True}
+    used = TechniqueSelectionEnv([bank, long], **arguments)
+    actions = random_actions(4, 40, used.action_space.shape, reselect=0.2)
+    for number in (0, 1, 0):
+        fresh = TechniqueSelectionEnv([bank, long], **arguments)
+        episodes = []
+        for env in (fresh, used):
+            first = env.reset(seed=0, options={"bank": number})
+            episodes.append([first, *(env.step(action) for action in actions)])
+        assert_same(*episodes)
 
 
 # ---- rendering ---------------------------------------------------------------------------

@@ -26,6 +26,13 @@ ARGUMENTS = {
     "amusic": [None, "evidence"],
     "random": ["0.4"],
     "cascade": [None],
+    "mpf": [None],
+    "hmpf": [None],
+    "dynmpf": [None],
+    "switchhit": [None],
+    "plurality": [None],
+    "borda": [None],
+    "hmm": [None],
 }
 SPECS = [
     name if argument is None else f"{name}:{argument}"

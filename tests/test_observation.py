@@ -37,7 +37,7 @@ def test_layout_is_the_documented_one(bank):
     assert TechniqueSelectionEnv(bank).reset(seed=0)[0].shape == (len(names),)
     assert names[0] == "T0.present"
     assert names[len(TECHNIQUE_FEATURES)] == "T1.present"
-    assert names[-1] == "route.agreeing"
+    assert names[-1] == "route.size"
 
 
 def squash(value: float) -> float:
@@ -47,8 +47,9 @@ def squash(value: float) -> float:
 class Observer:
     """The documented observation, worked out from the infos and the explicit loops of SIC."""
 
-    def __init__(self, bank: ScoreBank, statistic: str, block: int, weight: float) -> None:
-        self.bank, self.statistic, self.block, self.weight = bank, statistic, block, weight
+    def __init__(self, env: TechniqueSelectionEnv, bank: ScoreBank, weight: float) -> None:
+        self.bank, self.weight = bank, weight
+        self.statistic, self.block = env.task.settings.statistic, env.task.block
         self.width = len(bank.techniques)
         self.z = oracle.standardise_bank(bank.scores)
         self.exists = np.zeros((bank.queries, self.width), bool)
@@ -77,13 +78,24 @@ class Observer:
             if info["ran"][t]:
                 self.run(t, frame)
         route["prediction"] = info["prediction"]
-        moved = before >= 0 and info["prediction"] == before + 1
-        route["continues"] = float(moved or (info["idle"] and before >= 0))
+        route["continues"] = float(before >= 0 and self.continues(before, info))
         route["since_doubt"] = 0.0 if info["p_correct"] < 0.5 else route["since_doubt"] + 1
         route["p_mean"] += SMOOTHING * (info["p_correct"] - route["p_mean"])
         route["compute"] = info["seconds"] / self.bank.seconds.sum()
         route["compute_mean"] += SMOOTHING * (route["compute"] - route["compute_mean"])
         self.relate(frame, info)
+
+    def continues(self, before: int, info: dict) -> bool:
+        """Whether the prediction moved on by one place; idle ones do, up to the map's end."""
+        return info["idle"] or info["prediction"] == before + 1
+
+    def stored(self, t: int, place: int) -> float:
+        """What a technique's last run said for the fused place, moved back along its diagonal."""
+        slot = self.slots[t]
+        if place < 0:
+            return 0.0
+        known = (self.z[t], self.exists[:, t], slot["last"], place, 1000, 1.0)
+        return oracle.diagonal_statistic(*known, self.statistic)
 
     def relate(self, frame: int, info: dict) -> None:
         """Compare every technique's last match with the fused prediction."""
@@ -92,12 +104,10 @@ class Observer:
             if slot["last"] < 0 or info["prediction"] < 0:
                 continue
             age = frame - slot["last"]
-            there = info["prediction"] - age
             near = abs(slot["place"] + age - info["prediction"]) <= self.bank.tolerance
             slot["agrees"] = float(near)
             agreeing += near
-            known = (self.z[t], self.exists[:, t], slot["last"], there, 1000, 1.0)
-            slot["stored"] = oracle.diagonal_statistic(*known, self.statistic) if there >= 0 else 0
+            slot["stored"] = self.stored(t, info["prediction"] - age)
             if info["ran"][t]:
                 slot["support"] = self.z[t][frame][info["prediction"]]
                 slot["support_mean"] += SMOOTHING * (slot["support"] - slot["support_mean"])
@@ -117,6 +127,8 @@ class Observer:
             squash(slot["support"]),
             squash(slot["support_mean"]),
             squash(slot["stored"]),
+            slot["trust"],
+            slot["weight"],
             squash(frame - slot["last"]) if slot["last"] >= 0 else 1.0,
             float(info["technique"] == t),
             share,
@@ -140,11 +152,47 @@ class Observer:
             squash(route["compute"]),
             squash(route["compute_mean"]),
             route["agreeing"],
+            route["steady"],
+            squash(route["strange"]),
+            math.log10(self.bank.references) / 3 - 1,
         ]
 
     def expected(self, frame: int, info: dict) -> list[float]:
         groups = [self.technique_group(t, frame, info) for t in range(self.width)]
         return sum(groups, []) + self.route_group(frame, info)
+
+
+class BeliefObserver(Observer):
+    """The same where all that ran feeds one belief: its own records are taken at their word."""
+
+    def __init__(self, env: TechniqueSelectionEnv, bank: ScoreBank, weight: float) -> None:
+        super().__init__(env, bank, weight)
+        self.minds = env.task.episodes.minds  # tests/test_belief.py holds them right
+
+    def run(self, t: int, frame: int) -> None:
+        """Remember what a technique's row made of the belief."""
+        known = self.minds.witnesses[0, 0, t]
+        self.slots[t].update({key: known[key] for key in ("statistic", "margin", "correction")})
+        self.slots[t].update(trust=known["trust"], weight=known["weight"], said=known["said"])
+        self.slots[t].update(place=known["place"], last=frame)
+
+    def note(self, frame: int, info: dict) -> None:
+        """Take in what a step's infos say."""
+        super().note(frame, info)
+        if info["prediction"] >= 0:
+            mind = self.minds.minds[0, 0]
+            self.route.update(steady=mind["steady"], strange=mind["strange"])
+        for key in ("place", "statistic", "correction"):
+            for t in np.flatnonzero(info["ran"]):
+                assert info[key][t] == self.slots[t][key]
+
+    def continues(self, before: int, info: dict) -> bool:
+        """Whether the prediction moved on by one place."""
+        return info["prediction"] == before + 1
+
+    def stored(self, t: int, place: int) -> float:
+        """What a technique's last row said for the place that was the fused one then."""
+        return self.slots[t]["said"]
 
 
 @pytest.mark.parametrize("statistic", STATISTICS)
@@ -153,7 +201,7 @@ def test_observation_means_what_the_table_says(bank, statistic, weight):
     env = TechniqueSelectionEnv(
         bank, statistic=statistic, reselection=4, allow_idle=True, compute_weight=weight
     )
-    observer = Observer(bank, statistic, 4, weight)
+    observer = (BeliefObserver if statistic == "belief" else Observer)(env, bank, weight)
     observation, info = env.reset(seed=0)
     names = observation_names(bank.techniques)
     actions = random_actions(3, 40, (4,), reselect=0.15)
@@ -165,6 +213,22 @@ def test_observation_means_what_the_table_says(bank, statistic, weight):
         expected = dict(zip(names, observer.expected(frame, info), strict=True))
         found = dict(zip(names, observation.tolist(), strict=True))
         assert found == pytest.approx(expected, rel=1e-5, abs=1e-6), f"frame {frame}"
+
+
+def test_the_belief_has_entries_of_its_own(bank):
+    """None of them stays at one value, and a row that repeats the last one weighs less."""
+    scores = np.array(bank.scores)
+    scores[0, 20:25] = scores[0, 20]  # the robot stands
+    standing = ScoreBank(scores, bank.techniques, bank.seconds, tolerance=2)
+    env = TechniqueSelectionEnv(standing)
+    names = observation_names(bank.techniques)
+    seen = [env.reset(seed=0)[0], *(env.step([1, 1, 1])[0] for _ in range(40))]
+    columns = dict(zip(names, np.transpose(seen), strict=True))
+    for name in ("T0.trust", "T0.weight", "T0.stored", "route.steady", "route.strange"):
+        assert len(set(columns[name])) > 10, name
+    repeated = columns["T0.weight"][22:26]
+    assert columns["T0.weight"][1] == 1.0
+    assert max(repeated) < 0.2 < min(columns["T1.weight"][22:26])
 
 
 def test_a_first_prediction_continues_nothing():

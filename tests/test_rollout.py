@@ -172,3 +172,15 @@ def test_a_subset_of_a_bank_is_a_bank(bank):
     assert trace.techniques == ("T2", "T0")
     np.testing.assert_array_equal(trace.predictions, whole.predictions)
     np.testing.assert_array_equal(trace.confidence, whole.confidence)
+
+
+@pytest.mark.parametrize("spec", ["raw:T1", "mpf", "switchhit:1", "borda"])
+def test_13_a_localiser_is_not_fed_scores_that_are_not_finite(spec, bank, tmp_path):
+    bank.save(tmp_path / "bank")
+    scores = np.load(tmp_path / "bank" / "scores.npy", mmap_mode="r+")
+    scores[1, 7, 3] = np.nan
+    scores.flush()
+    broken = ScoreBank.load(tmp_path / "bank")
+    policy = make_policy(spec, Context.of(broken, statistic="evidence"))
+    with pytest.raises(ValueError, match="NaN or infinite score of technique 'T1' at frame 7"):
+        rollout(policy, broken, name=spec)

@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 from amusic_gym.bank import ScoreBank
 from amusic_gym.calibration import coefficients
 from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.settings import STATISTICS, SICSettings
+from amusic_gym.settings import SICSettings
 from amusic_gym.sic import SIC, SLACK
 
 CLOSE = {"rtol": 1e-9, "atol": 1e-9}
 
 sic_settings = st.builds(
     SICSettings,
-    statistic=st.sampled_from(STATISTICS),
+    statistic=st.sampled_from(oracle.STATISTICS),
     candidates=st.integers(1, 20),
     history=st.one_of(st.integers(0, 8), st.just(1000)),
     gamma=st.sampled_from([1.0, 0.95, 0.5, 0.05]),
@@ -59,7 +59,7 @@ def estimated(statistic: str, confidence: float, margin: float | None) -> float:
 # ---- values worked out by hand -----------------------------------------------------------
 
 
-@pytest.mark.parametrize("statistic", STATISTICS)
+@pytest.mark.parametrize("statistic", oracle.STATISTICS)
 @pytest.mark.parametrize("technique", golden.TECHNIQUES)
 def test_golden_corrections(technique, statistic):
     rows = golden.SCORES[golden.TECHNIQUES.index(technique)]
@@ -67,7 +67,7 @@ def test_golden_corrections(technique, statistic):
     np.testing.assert_allclose(found, golden.SIC[statistic][technique], **CLOSE)
 
 
-@pytest.mark.parametrize("statistic", STATISTICS)
+@pytest.mark.parametrize("statistic", oracle.STATISTICS)
 @pytest.mark.parametrize("case", golden.OTHER_SETTINGS)
 def test_golden_other_settings(case, statistic):
     history, gamma, ran = case
@@ -76,7 +76,7 @@ def test_golden_other_settings(case, statistic):
     np.testing.assert_allclose(found[4], golden.OTHER_SETTINGS[case][statistic], **CLOSE)
 
 
-@pytest.mark.parametrize("statistic", STATISTICS)
+@pytest.mark.parametrize("statistic", oracle.STATISTICS)
 def test_golden_fusion(tiny_bank, statistic):
     env = TechniqueSelectionEnv(tiny_bank, statistic=statistic, candidates=golden.CANDIDATES)
     infos = infos_of(env, np.ones((5, 3)))
@@ -141,7 +141,7 @@ LONG = [  # references, F, gamma, share of the frames it runs on
 ]
 
 
-@pytest.mark.parametrize("statistic", STATISTICS)
+@pytest.mark.parametrize("statistic", oracle.STATISTICS)
 @pytest.mark.parametrize("case", LONG)
 def test_routes_longer_than_the_room_of_the_sums(case, statistic):
     references, history, gamma, activity = case
@@ -170,7 +170,7 @@ def test_long_route_inside_the_environment():
     bank = noisy_bank(rng, 2, queries, 9)
     ran = rng.random((queries, 2)) < 0.5
     ran[~ran.any(axis=1), 0] = True
-    infos = infos_of(TechniqueSelectionEnv(bank, history=30), ran)
+    infos = infos_of(TechniqueSelectionEnv(bank, statistic="evidence", history=30), ran)
     z = oracle.standardise_bank(bank.scores)
     for q in [*range(0, queries, 29), SLACK, SLACK + 1, 2 * SLACK, queries - 1]:
         expected = oracle.music(bank.scores, ran, q, 50, 30, 1.0, "evidence", z)
@@ -233,6 +233,17 @@ def test_wrong_settings_are_refused(wrong, words):
         SICSettings(**wrong)
     with pytest.raises(ValueError, match=words):
         TechniqueSelectionEnv(ScoreBank(np.eye(3)[None], ["A"], [1.0], tolerance=0), **wrong)
+
+
+def test_the_belief_of_all_techniques_is_refused():
+    with pytest.raises(ValueError, match=r"'belief', which all .* give 'evidence' or 'mean', or"):
+        SIC(3, SICSettings("belief"))
+
+
+def test_without_settings_it_is_the_evidence():
+    row, other = [3, 1, 2], [1, 1, 2]
+    plain, meant = SIC(3), SIC(3, SICSettings("evidence"))
+    assert [plain.correct(row), plain.correct(other)] == [meant.correct(row), meant.correct(other)]
 
 
 def test_a_map_without_places_is_refused():

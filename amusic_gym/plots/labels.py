@@ -40,6 +40,13 @@ POLICY_MARKS = {  # policy -> colour and marker in figures of policies
     "cascade": ("#6F4E37", "^"),
     "random": ("#999999", "v"),
     "oracle": ("#999933", "*"),
+    "mpf": ("#AA3377", "<"),
+    "hmpf": ("#AA3377", ">"),
+    "dynmpf": ("#AA3377", "p"),
+    "switchhit": ("#B15928", "X"),
+    "plurality": ("#6699CC", "h"),
+    "borda": ("#6699CC", "H"),
+    "hmm": ("#004488", "d"),
 }
 OTHER_MARK = ("#6F4E37", "P")
 CORRECT_COLOUR, WRONG_COLOUR, NEUTRAL_COLOUR = "#9ECAE1", "#B2182B", "#BBBBBB"
@@ -49,7 +56,11 @@ FIXED = ("single", "subset")  # policies that run the same techniques on every f
 def policy_label(policy: str) -> str:
     """A policy's name for a reader: "single:HOG" -> "HOG", "amusic" -> "A-MuSIC"."""
     kind, _, argument = policy.partition(":")
-    names = {"amusic": "A-MuSIC", "music": "MuSIC", "ppo": "selector"}
+    names = {
+        **{"amusic": "A-MuSIC", "music": "MuSIC", "ppo": "selector"},
+        **{"mpf": "MPF", "hmpf": "H-MPF-style", "dynmpf": "Dyn-MPF-style", "hmm": "Markov filter"},
+        **{"switchhit": "SwitchHit-style †", "oracle": "oracle †", "borda": "Borda"},
+    }
     if kind in FIXED and argument:
         return argument
     if kind == "raw" and argument:

@@ -93,7 +93,7 @@ def write_scores(
     lean = rng.uniform(0.0, MOST_LEAN, (competence.size, 1)).astype(np.float32)
     shift = (look.shift * math.sqrt(size)) * _unit(turn + lean * common)  # (C, D)
     level = competence[world.condition][:, None]  # (Q, 1)
-    seen = _mix(noise, _between(places, world.place), np.square(level))
+    seen = _mix(noise, _between(places, world.seen), np.square(level))
     seen += shift[world.condition]
     places += (look.base + look.bland * world.bland)[:, None] * common
     _compare(_unit(seen), _unit(places), look, out)

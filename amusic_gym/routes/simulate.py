@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.names import suggest
-from amusic_gym.routes.descriptors import Look, write_scores
+from amusic_gym.routes.descriptors import Look, smooth, write_scores
 from amusic_gym.routes.ranges import (
     Range,
     check_integer,
@@ -34,7 +34,10 @@ from amusic_gym.routes.ranges import (
     draw,
     draw_integer,
 )
+from amusic_gym.routes.retime import retime
 from amusic_gym.routes.world import (
+    JUMP,
+    SPEED_CHANGE,
     Ints,
     World,
     bland_places,
@@ -57,6 +60,8 @@ LIMITS: dict[str, Range] = {
     "ability": (0, 1),
     "weak": (0, 1),
     "strong": (0, 1),
+    "wander": (0, 1000),
+    "wander_memory": (0, math.inf),
     "seconds": (1e-9, 1e9),
     "dimensions": (2, 4096),
     "smoothness": (0, math.inf),
@@ -73,7 +78,7 @@ LIMITS: dict[str, Range] = {
 }
 _SHARES = (
     *("same_length", "ability_spread", "useless", "all_fail", "all_good", "exclusive"),
-    *("cost_follows_ability", "speed_change", "jump", "hubs"),
+    *("cost_follows_ability", "speed_change", "jump", "retimed", "hubs"),
 )
 _INTEGERS = ("queries", "techniques", "conditions", "dimensions")
 
@@ -92,9 +97,12 @@ class Simulation:
     map_factor: Range = (1.0, 2.0)  # places per frame ...
     same_length: float = 0.5  # ... but on this share of the routes exactly as many as frames
     motion: Motion = "steady"  # 'steady': one place per frame; 'varied': stops, speeds, jumps
-    speed_change: float = 0.03  # varied: chance per frame of a new speed out of SPEEDS
-    jump: float = 0.02  # varied: chance per frame of being carried to a random place
+    speed_change: float = SPEED_CHANGE  # varied: chance per frame of a new speed out of SPEEDS
+    jump: float = JUMP  # varied: chance per frame of being carried to a random place
+    retimed: float = 0.0  # share of the routes whose frames are re-timed (routes.retime)
     tolerance: int = 2  # places off that still count as true
+    wander: Range = (0.0, 1.3)  # places that images look ahead or behind, standard deviation ...
+    wander_memory: Range = (3.0, 15.0)  # ... and the frames over which that changes
 
     # Who is good when
     techniques: tuple[int, int] = (4, 4)
@@ -165,8 +173,10 @@ class Simulation:
         techniques = draw_integer(rng, self.techniques)
         references = self._map_length(rng, queries)
         competence, condition = self._conditions(rng, techniques, queries)
+        place = self._drive(rng, queries, references)
         world = World(
-            place=self._drive(rng, queries, references),
+            place=place,
+            seen=self._seen(rng, place, references),
             condition=condition,
             competence=competence,
             source=repeated_places(rng, references, self.alias_density, self.alias_length),
@@ -174,7 +184,10 @@ class Simulation:
         )
         seconds = self._seconds(rng, competence[:, condition].mean(axis=1))
         looks = [self._look(rng) for _ in range(techniques)]
-        return _bank(rng, world, looks, seconds, self.tolerance, name)
+        bank = _bank(rng, world, looks, seconds, self.tolerance, name)
+        if rng.random() < self.retimed:
+            bank = retime(bank, int(rng.integers(2**31)))
+        return bank
 
     def _map_length(self, rng: np.random.Generator, queries: int) -> int:
         same, factor = rng.random() < self.same_length, rng.uniform(*self.map_factor)
@@ -190,6 +203,17 @@ class Simulation:
             start = rng.integers(references - queries + 1)
             return start + np.arange(queries, dtype=np.float64)
         return varied_drive(rng, queries, references, self.speed_change, self.jump)
+
+    def _seen(
+        self, rng: np.random.Generator, place: NDArray[np.float64], references: int
+    ) -> NDArray[np.float64]:
+        """Positions (Q,) that the images look like.
+
+        Two drives along a route never keep step: their frames are paired by a truth that allows
+        for it, and what looks most alike lies a little ahead of the true place or behind it.
+        """
+        off = smooth(rng, place.size, 1, draw(rng, self.wander_memory))[:, 0]
+        return (place + draw(rng, self.wander) * off).clip(0.0, references - 1.0)
 
     def _conditions(
         self, rng: np.random.Generator, techniques: int, queries: int
@@ -228,6 +252,19 @@ class Simulation:
             pick = draw_integer if field.name in _INTEGERS else draw
             values[field.name] = pick(rng, getattr(self, field.name))
         return Look(**values)  # type: ignore[arg-type]  # `dimensions` is drawn as int
+
+
+POPULATION = Simulation(
+    queries=(80, 260),
+    map_factor=(1.0, 3.0),
+    retimed=0.6,
+    techniques=(2, 6),
+    ability=(0.4, 0.95),
+    useless=0.1,
+    all_fail=0.02,
+    exclusive=0.08,
+)
+"""The routes that the belief, p̂ and selectors are fitted on: motion first of all."""
 
 
 def simulate(
@@ -305,8 +342,10 @@ def planted(
     order = no_repeats(rng, regimes, techniques)
     start = rng.integers(references - frames + 1)
     parts = np.arange(regimes)[:: -1 if jumps else 1]
+    place = start + (parts[:, None] * length + np.arange(length)).ravel().astype(np.float64)
     world = World(
-        place=start + (parts[:, None] * length + np.arange(length)).ravel().astype(np.float64),
+        place=place,
+        seen=place,
         condition=np.repeat(order, length),
         competence=0.95 * np.eye(techniques),
         source=np.arange(references),

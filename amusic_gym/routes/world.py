@@ -23,6 +23,7 @@ class World:
     """What all techniques share on one route."""
 
     place: NDArray[np.float64]  # (Q,) position of each frame, in places, may lie between two
+    seen: NDArray[np.float64]  # (Q,) position that its image looks like
     condition: Ints  # (Q,) which condition each frame is in
     competence: NDArray[np.float64]  # (T, C) 0 useless .. 1 noiseless
     source: Ints  # (R,) the place that each place repeats; itself where none

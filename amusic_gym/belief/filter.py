@@ -1,0 +1,209 @@
+"""The Bayes filter over places, frame by frame."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from amusic_gym._compile import apart, inner
+from amusic_gym.belief.memory import REACH, Minds, copy_mind
+from amusic_gym.belief.motion import move
+from amusic_gym.belief.places import conclude, looks_of, places_of, testify, weigh_places
+from amusic_gym.belief.rates import LOCKED, WAYS, kernel
+from amusic_gym.belief.rows import RECENT, likelihoods, listen, total
+from amusic_gym.rows import prepare, top_at
+
+SAME = 1e-4
+"""Two rows whose correlation falls short of 1 by less than this are the same."""
+
+
+@inner
+def hear_rows(minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any) -> bool:
+    """Standardise the rows of a frame; whether one is the same as that of the frame before.
+
+    Notes in the MIND record how much more than usual the rows have changed since.
+    """
+    mind = minds.minds[which, i]
+    same, strange, compared = False, 0.0, 0
+    for s in range(ran.shape[0]):
+        if not ran[s, frame]:
+            continue
+        known = minds.witnesses[which, i, s]
+        novelty = listen(minds.rates, known, runs[s], frame, minds.hubs[which, i, s], minds.rows[s])
+        if novelty >= 0.0 and known.last == frame - 1:
+            if novelty < SAME:
+                same = True
+            elif known.novelty > 0.0:
+                strange += novelty / known.novelty
+                compared += 1
+        if novelty >= SAME:
+            usual = known.novelty if known.novelty > 0.0 else novelty
+            known.novelty = usual + RECENT * (min(novelty, 3.0 * usual) - usual)
+        known.last = frame
+        known.count += 1.0
+    mind.strange = strange / compared if compared > 0 else 0.0
+    return same
+
+
+@inner
+def weigh_rows(
+    minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any, size: int, tolerance: int
+) -> None:
+    """Turn the rows into likelihoods, and their product over the belief so far into the new one."""
+    mind, prior = minds.minds[which, i], minds.prior
+    now = minds.belief[which, i, mind.side]
+    looks_of(now, size, prior)
+    for s in range(ran.shape[0]):
+        if ran[s, frame]:
+            known, row = minds.witnesses[which, i, s], minds.rows[s]
+            likelihoods(minds.rates, known, prior, size, row)
+            top = top_at(runs[s], frame)[0]
+            testify(known, prior, row, top, size, tolerance, minds.joint, minds.windows)
+    for place in range(size):
+        prior[place] = 1.0
+    for s in range(ran.shape[0]):
+        if ran[s, frame]:
+            row = minds.rows[s]
+            for place in range(size):
+                prior[place] *= row[place]
+    weigh_places(now, prior, size)
+
+
+@inner
+def normalise(mind: Any, now: Any, whole: float, size: int) -> None:
+    """Make the belief sum to 1, and note how much of it is in steady motion."""
+    mind.steady = 0.0
+    for way in range(WAYS):
+        line = now[way]
+        for place in range(size):
+            line[REACH + place] /= whole
+        if way >= LOCKED:
+            mind.steady += total(line[REACH:], size)
+
+
+@apart
+def filter_frame(
+    minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any, tolerance: int
+) -> None:
+    """Take one frame into the belief of route ``i``: what ran on it, and that it passed.
+
+    Leaves each technique's own word in its WITNESS record, what all say in the MIND record, and
+    the belief over places in ``minds.joint``.
+
+    Args:
+        minds: the batch's memory.
+        which: set of it, live or lagged.
+        i: the route.
+        frame: frame index, one more than the last.
+        runs: (S,) RUN records; the rows of what ran are prepared.
+        ran: (S, Q) uint8.
+        tolerance: places off that still count as true.
+    """
+    rates, mind, belief = minds.rates, minds.minds[which, i], minds.belief[which, i]
+    size = 0
+    for s in range(ran.shape[0]):
+        size = max(size, runs[s].references)
+    same = hear_rows(minds, which, i, frame, runs, ran)
+    if frame > 0:
+        rise = rates.jump_novel * (mind.strange - rates.jump_usual) if mind.strange > 0.0 else 0.0
+        jump = math.exp(min(max(rise, -3.0), 3.0))
+        stand = rates.stand if same else 1.0
+        move(rates, mind, belief, size, stand, jump, minds.joint, minds.windows)
+    mind.frame = frame
+    weigh_rows(minds, which, i, frame, runs, ran, size, tolerance)
+    now = belief[mind.side]
+    places_of(now, size, minds.joint)
+    whole = total(minds.joint, size)
+    normalise(mind, now, whole, size)
+    conclude(minds, mind, size, tolerance, whole)
+    mind.said, mind.heard = 0.0, 0
+    for s in range(ran.shape[0]):
+        if ran[s, frame]:
+            said = math.log(minds.rows[s, mind.place])
+            minds.witnesses[which, i, s].said = said
+            mind.said += said
+            mind.heard += 1
+
+
+@apart
+def hear(minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any, tolerance: int) -> None:
+    """Prepare the rows of a frame and take them into the belief of route ``i``."""
+    for s in range(ran.shape[0]):
+        if ran[s, frame]:
+            prepare(runs[s], frame)
+    filter_frame(minds, which, i, frame, runs, ran, tolerance)
+
+
+@kernel
+def hear_routes(
+    minds: Minds, active: Any, frames: Any, runs: Any, ran: Any, tolerances: Any
+) -> None:
+    """Take the next frame of every active route into its belief.
+
+    Args:
+        minds: the batch's memory.
+        active: (N,) bool.
+        frames: (N,) int64, last frame processed.
+        runs: (N, S) RUN records.
+        ran: (N, S, Q) uint8, filled in for the next frame.
+        tolerances: (N,) int64.
+    """
+    for i in range(active.size):
+        if active[i]:
+            hear(minds, 0, i, frames[i] + 1, runs[i], ran[i], tolerances[i])
+
+
+@kernel
+def look_back(
+    minds: Minds,
+    wanted: Any,
+    lagging: Any,
+    frames: Any,
+    block: int,
+    runs: Any,
+    ran: Any,
+    present: Any,
+    tolerances: Any,
+    late: Any,
+    statistics: Any,
+    corrections: Any,
+) -> None:
+    """Run all techniques on the last frames of the routes ``wanted``, after the fact.
+
+    The belief before that block is kept apart, and so is brought up to it first; then the block is
+    gone through again with every row.
+
+    Args:
+        minds: the batch's memory, of two sets.
+        wanted: (N,) bool.
+        lagging: (N,) bool, routes whose lagged belief cannot wait, because their rows go.
+        frames: (N,) int64, last frame processed.
+        block: M.
+        runs: (N, S) RUN records.
+        ran: (N, S, Q) uint8, changed.
+        present: (N, S) uint8.
+        tolerances: (N,) int64.
+        late: (N, S) int64, filled with the runs after the fact.
+        statistics: (N, M, S) filled with every technique's statistic on the frames of the block.
+        corrections: (N, S, M) likewise with the corrections.
+    """
+    for i in range(wanted.size):
+        stop = frames[i] + 1
+        first = max(0, stop - block)
+        if wanted[i] or lagging[i]:
+            for frame in range(minds.minds[1, i].frame + 1, first):
+                hear(minds, 1, i, frame, runs[i], ran[i], tolerances[i])
+        if not wanted[i]:
+            continue
+        for s in range(ran.shape[1]):
+            for frame in range(first, stop):
+                if present[i, s] and not ran[i, s, frame]:
+                    late[i, s] += 1
+                    ran[i, s, frame] = 1
+        copy_mind(minds, 1, 0, i)
+        for frame in range(first, stop):
+            hear(minds, 0, i, frame, runs[i], ran[i], tolerances[i])
+            for s in range(ran.shape[1]):
+                known = minds.witnesses[0, i, s]
+                statistics[i, frame - first, s] = known.statistic if present[i, s] else -math.inf
+                corrections[i, s, frame - first] = known.correction

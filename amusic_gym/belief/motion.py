@@ -1,0 +1,146 @@
+"""How the belief moves from one frame to the next."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from amusic_gym._compile import apart, inner
+from amusic_gym.belief.memory import REACH
+from amusic_gym.belief.rates import BINOMIAL, LOCKED, SHARES, SPEEDS, WANDER, WAYS, Rates, share_of
+from amusic_gym.belief.rows import total
+
+
+@inner
+def add_lines(belief: Any, first: int, stop: int, size: int, out: Any) -> None:
+    """Sum of some lines of the belief."""
+    for c in range(size):
+        out[c] = 0.0
+    for way in range(first, stop):
+        line = belief[way]
+        for c in range(size):
+            out[c] += line[REACH + c]
+
+
+@inner
+def drift(rates: Rates, belief: Any, size: int, gained: Any) -> None:
+    """Let images look farther ahead or behind, and steady motion end and begin.
+
+    As in Ehrenfest's urns: towards the middle, the farther off the likelier, so that the offsets
+    are binomial in the long run. ``gained`` is the (R,) belief that steady motion takes over.
+    """
+    stay, step = 1.0 - rates.leave, rates.wander / (2 * WANDER)
+    first = LOCKED + 1
+    for c in range(size):
+        i = REACH + c
+        before = 0.0  # what the line of one place less held
+        for off in range(2 * WANDER + 1):
+            own = belief[first + off, i]
+            after = belief[first + off + 1, i] if off < 2 * WANDER else 0.0
+            moved = step * (before * (2 * WANDER - off + 1) + after * (off + 1))
+            kept = (1.0 - rates.wander) * own
+            new = rates.wandering * BINOMIAL[off] * gained[c]
+            belief[first + off, i] = stay * (kept + moved) + new
+            before = own
+
+
+@inner
+def mix(rates: Rates, belief: Any, size: int, fast: Any, even: Any) -> None:
+    """Let speeds change, and steady motion end and begin, in place; (R,) scratch comes last."""
+    add_lines(belief, 0, SPEEDS, size, fast)
+    add_lines(belief, LOCKED, WAYS, size, even)
+    keep, change = (1.0 - rates.change) * (1.0 - rates.settle), rates.change * (1.0 - rates.settle)
+    for way in range(SPEEDS):
+        line, share = belief[way], SHARES[way]
+        for c in range(size):
+            i = REACH + c
+            line[i] = keep * line[i] + share * (change * fast[c] + rates.leave * even[c])
+    for c in range(size):
+        fast[c] *= rates.settle
+    locked, stay, still = belief[LOCKED], 1.0 - rates.leave, 1.0 - rates.wandering
+    for c in range(size):
+        locked[REACH + c] = stay * locked[REACH + c] + still * fast[c]
+    drift(rates, belief, size, fast)
+
+
+@inner
+def chances_of(rates: Rates, way: int, stand: float, out: Any) -> None:
+    """Chances (4,) that a way of moving goes 0, 1, 2 or 3 places in a frame."""
+    slack = rates.slack
+    out[0], out[1], out[2], out[3] = 0.0, 0.0, 0.0, 0.0
+    if way == 0:
+        out[0], out[1] = 1.0 - slack, slack
+    elif way == 1:
+        out[0], out[1] = 0.5, 0.5
+    elif way == 2:
+        out[0], out[1], out[2] = slack, 1.0 - 2.0 * slack, slack
+    elif way == 3:
+        out[1], out[2] = 0.5, 0.5
+    else:
+        out[1], out[2], out[3] = slack, 1.0 - 2.0 * slack, slack
+    out[0] *= stand
+
+
+@inner
+def advance(rates: Rates, source: Any, target: Any, size: int, stand: float) -> tuple[float, float]:
+    """Move every line of the belief on by a frame; returns the sums of all and of steady motion."""
+    chances = np.empty(4)
+    whole, steady = 0.0, 0.0
+    for way in range(SPEEDS):
+        chances_of(rates, way, stand, chances)
+        p0, p1, p2, p3 = chances[0], chances[1], chances[2], chances[3]
+        old, new = source[way], target[way]
+        for i in range(REACH, REACH + size):
+            new[i] = p0 * old[i] + p1 * old[i - 1] + p2 * old[i - 2] + p3 * old[i - 3]
+        whole += total(new[REACH:], size)
+    for way in range(LOCKED, WAYS):
+        old, new = source[way], target[way]
+        for i in range(REACH, REACH + size):
+            new[i] = old[i - 1]
+        steady += total(new[REACH:], size)
+    return whole + steady, steady
+
+
+@apart
+def move(
+    rates: Rates,
+    mind: Any,
+    belief: Any,
+    size: int,
+    stand: float,
+    jump: float,
+    fast: Any,
+    even: Any,
+) -> None:
+    """Predict the belief of the next frame: new speeds, motion, jumps.
+
+    Args:
+        rates: of the motion.
+        mind: MIND record.
+        belief: (2, WAYS, REACH + R).
+        size: R.
+        stand: how much likelier it is that the robot stood.
+        jump: factor on the chance of a jump.
+        fast: (R,) scratch.
+        even: (R,) scratch.
+    """
+    source, target = belief[mind.side], belief[1 - mind.side]
+    mix(rates, source, size, fast, even)
+    whole, steady = advance(rates, source, target, size, stand)
+    mind.side = 1 - mind.side
+    off_map = whole < 1e-200
+    if off_map:
+        whole, steady = 1.0, 0.0
+    steady /= whole
+    often, seldom = min(rates.jump * jump, 0.9), min(rates.steady_jump * jump, 0.9)
+    lost = (often * (1.0 - steady) + seldom * steady) / size
+    for way in range(WAYS):
+        keep, gain = (1.0 - seldom) / whole, 0.0
+        if way < SPEEDS:
+            keep, gain = (1.0 - often) / whole, lost * SHARES[way]
+        if off_map:
+            keep, gain = 0.0, share_of(rates, way) / size
+        line = target[way]
+        for i in range(REACH, REACH + size):
+            line[i] = keep * line[i] + gain

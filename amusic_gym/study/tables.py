@@ -1,0 +1,259 @@
+"""The findings of a study as tables: text for a terminal, markdown for the documentation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from amusic_gym.audit import PARTING
+from amusic_gym.study.cells import NAMES
+from amusic_gym.study.findings import SHOWN_COMPUTES, Findings
+from amusic_gym.study.fronts import BAND, ROUNDING
+from amusic_gym.study.plan import MEAN
+from amusic_gym.study.run import Row
+from amusic_gym.trace import write_whole
+
+TABLES = "tables.md"
+MARK = "†"
+"""Of policies that need ground truth."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Words in rows; the first ``words`` columns are text, the others numbers."""
+
+    title: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    note: str = ""
+    words: int = 1
+
+    def text(self) -> str:
+        """For a terminal."""
+        lines = [self.heads, *self.rows]
+        widths = [max(len(line[i]) for line in lines) for i in range(len(self.heads))]
+        shown = [self.title]
+        for line in lines:
+            cells = [
+                cell.ljust(width) if i < self.words else cell.rjust(width)
+                for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+            ]
+            shown.append("  ".join(cells).rstrip())
+        return "\n".join([*shown, *([self.note] if self.note else [])])
+
+    def markdown(self) -> str:
+        """A heading, the table and its note."""
+        ends = [":--" if i < self.words else "--:" for i in range(len(self.heads))]
+        lines = [self.heads, ends, *self.rows]
+        body = "\n".join(f"| {' | '.join(map(_escaped, line))} |" for line in lines)
+        return "\n\n".join([f"### {self.title}", body, *([self.note] if self.note else [])])
+
+
+def tables(findings: Findings) -> list[Table]:
+    """All tables: the mean over routes first, then every route."""
+    routes = [route["bank"] for route in findings.routes]
+    scopes = [*([MEAN] if len(routes) > 1 else []), *routes]
+    made = [_points(findings, scope) for scope in scopes]
+    made += [_fronts(findings, condition) for condition in findings.settings["conditions"]]
+    if findings.margins:
+        made.append(_margins(findings))
+    if findings.audit:
+        made.append(_audit(findings))
+    return made
+
+
+def text(findings: Findings) -> str:
+    """The tables and, at the end, the warnings."""
+    blocks = [table.text() for table in tables(findings)]
+    return "\n\n".join([*blocks, *(["\n".join(findings.warnings)] if findings.warnings else [])])
+
+
+def write_markdown(findings: Findings, folder: str | Path) -> Path:
+    """Write `TABLES`, of which each part may be copied into the documentation."""
+    blocks = [table.markdown() for table in tables(findings)]
+    if findings.warnings:
+        blocks.append("\n".join(f"- **{line}**" for line in findings.warnings))
+    return write_whole(Path(folder) / TABLES, ("\n\n".join(blocks) + "\n").encode())
+
+
+# ---- tables ----------------------------------------------------------------------------------
+
+
+def _points(findings: Findings, scope: str) -> Table:
+    """Every policy and λ on one route or over all, each condition in columns of its own."""
+    conditions = findings.settings["conditions"]
+    by_key: dict[tuple[Any, ...], dict[str, Row]] = {}
+    for row in findings.points:
+        if row["bank"] == scope:
+            key = row["policy"], row["compute_weight"], row["statistic"]
+            by_key.setdefault(key, {})[row["condition"]] = row
+    heads = ["policy", "λ", "SIC"]
+    for condition in conditions:
+        heads += [f"AUC {NAMES[condition]}", "95 %", "compute", "accuracy"]
+        heads += ["gap closed"] if scope == MEAN else []
+    rows = [
+        [_marked(findings, policy), "" if weight is None else f"{weight:g}", statistic]
+        + [cell for condition in conditions for cell in _point_cells(of[condition], scope)]
+        for (policy, weight, statistic), of in by_key.items()
+    ]
+    return Table(_title(findings, scope), heads, rows, _points_note(findings, scope), words=3)
+
+
+def _point_cells(row: Row, scope: str) -> list[str]:
+    cells = [
+        f"{row['auc']:.3f}",
+        _interval(row["auc_interval"]),
+        _percent(row["compute"]),
+        f"{row['accuracy']:.3f}",
+    ]
+    return [*cells, _maybe(row["gap_closed"], _percent)] if scope == MEAN else cells
+
+
+def _title(findings: Findings, scope: str) -> str:
+    costs = findings.settings["costs"]
+    if scope == MEAN:
+        return f"Mean over {len(findings.routes)} routes ({costs} costs)"
+    route = next(route for route in findings.routes if route["bank"] == scope)
+    return f"{scope}: {route['queries']} frames, {route['references']} places ({costs} costs)"
+
+
+def _points_note(findings: Findings, scope: str) -> str:
+    rows = [row for row in findings.points if row["bank"] == scope]
+    over = next((row["interval_over"] for row in rows), "")
+    count = len(findings.settings["seeds"])
+    parts = [
+        f"Means over {count} seeds; 95 % bootstrap intervals over {over}, empty where there is "
+        "nothing to resample."
+    ]
+    if scope == MEAN:
+        here, anywhere = ({row["policy"] for row in of} for of in (rows, findings.points))
+        left_out = len(anywhere - here)
+        parts += [f"{left_out} policies that are not on every route are left out."] * bool(left_out)
+        parts.append(
+            "Gap closed: share of the way from the single best to the virtual best fixed subset, "
+            "both within the same compute."
+        )
+    needed = "; ".join(f"{who} {what}" for who, what in findings.settings["needs_truth"].items())
+    return " ".join([*parts, *([f"{MARK} needs ground truth: {needed}."] if needed else [])])
+
+
+def _fronts(findings: Findings, condition: str) -> Table:
+    """The fronts of every route and their mean: hypervolume and AUC at some computes."""
+    heads = ["route", "front", "hypervolume", "95 %", "begins at"]
+    heads += [f"≤ {compute:.0%}" for compute in SHOWN_COMPUTES]
+    rows = [
+        [
+            row["bank"],
+            _marked(findings, row["front"]),
+            _maybe(row["hypervolume"], _three),
+            _interval(row["hypervolume_interval"]),
+            _percent(row["begins"]),
+            *(_maybe(value, _three) for value in row["auc_at"]),
+        ]
+        for row in findings.fronts
+        if row["condition"] == condition and row["begins"] < 1.0 - ROUNDING
+    ]
+    return Table(
+        f"Fronts, {NAMES[condition]}",
+        heads,
+        rows,
+        "A front is the best AUC at no more than that compute. Hypervolume: its area above AUC 0.5 "
+        "over log compute, from the cheapest technique's compute to 1, as a share of the greatest "
+        "there could be. Policies that always run everything have none and are left out.",
+        words=2,
+    )
+
+
+def _margins(findings: Findings) -> Table:
+    """How far every learned selector is above or below its rivals."""
+    low, high = (f"{compute:.0%}" for compute in BAND)
+    heads = ["route", "condition", "selector", "against", "least", "at", f"greatest {low}–{high}"]
+    heads += ["at", "95 %", "begins", "rival begins"]
+    rows = [
+        [
+            row["bank"],
+            NAMES[row["condition"]],
+            row["policy"],
+            row["rival"],
+            _maybe(row["least"], _signed),
+            _maybe(row["least_at"], _percent),
+            _maybe(row["greatest"], _signed),
+            _maybe(row["greatest_at"], _percent),
+            _interval(row["greatest_interval"], _signed),
+            _percent(row["begins"]),
+            _percent(row["rival_begins"]),
+        ]
+        for row in findings.margins
+    ]
+    return Table(
+        "Margins: AUC of the selector's front minus the rival's",
+        heads,
+        rows,
+        "Least and greatest difference over a fixed grid of computes, where both fronts have "
+        "begun; a rival that begins earlier has the computes below for itself.",
+        words=4,
+    )
+
+
+def _audit(findings: Findings) -> Table:
+    """p̂ against the truth."""
+    heads = ["policies", "condition", "route", "mean p̂", "accuracy", "p̂ − accuracy", "greatest"]
+    heads += ["of", "AUROC", "least", "ECE", "greatest"]
+    rows = [
+        [
+            row["front"],
+            NAMES[row["condition"]],
+            row["bank"],
+            _three(row["p_correct"]),
+            _three(row["accuracy"]),
+            _signed(row["gap"]),
+            _signed(row["greatest_gap"]),
+            row["greatest_gap_of"],
+            _maybe(row["auroc"], _three),
+            _maybe(row["least_auroc"], _three),
+            _three(row["calibration_error"]),
+            _three(row["greatest_calibration_error"]),
+        ]
+        for row in findings.audit
+    ]
+    return Table(
+        "Audit: estimated correctness p̂ against the truth",
+        heads,
+        rows,
+        f"Means over cells, and the worst cell. A warning where p̂ is above the accuracy by more "
+        f"than {PARTING:g}.",
+        words=3,
+    )
+
+
+# ---- words -----------------------------------------------------------------------------------
+
+
+def _marked(findings: Findings, policy: str) -> str:
+    return policy + (f" {MARK}" if policy in findings.settings["needs_truth"] else "")
+
+
+def _three(value: float) -> str:
+    return f"{value:.3f}"
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.3f}"
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.1f} %"
+
+
+def _maybe(value: float | None, words: Callable[[float], str]) -> str:
+    return "–" if value is None else words(value)
+
+
+def _interval(ends: Sequence[float] | None, words: Callable[[float], str] = _three) -> str:
+    return "" if ends is None else f"{words(ends[0])} … {words(ends[1])}"
+
+
+def _escaped(cell: str) -> str:
+    return cell.replace("|", "\\|")

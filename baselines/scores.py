@@ -1,0 +1,42 @@
+"""What policies that work on score rows themselves share: scaling, and peaks of a row."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.policy import Run
+
+RADIUS = 20
+"""R: places to either side of a match that count as the same one (Hausler 2019; Nordland 10)."""
+
+
+def every_row(run: Run, techniques: int) -> NDArray[np.float64]:
+    """(T, R) rows of all techniques, each of which is charged."""
+    return np.stack([run(technique) for technique in range(techniques)]).astype(np.float64)
+
+
+def standardised(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows (..., R) to mean 0 and population σ 1; a constant row becomes zeros."""
+    centred = rows - rows.mean(axis=-1, keepdims=True)
+    deviation = centred.std(axis=-1, keepdims=True)
+    return np.where(_constant(rows), 0.0, centred / np.where(deviation > 0, deviation, 1.0))
+
+
+def scaled(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows (..., R) so that the worst place has 0 and the best 1; a constant row becomes zeros."""
+    lowest = rows.min(axis=-1, keepdims=True)
+    span = rows.max(axis=-1, keepdims=True) - lowest
+    return (rows - lowest) / np.where(span > 0, span, 1.0)
+
+
+def best_outside(values: NDArray[np.float64], place: int, radius: int) -> float | None:
+    """The highest value (R,) more than ``radius`` places from ``place``; None: no place is."""
+    sides = values[: max(0, place - radius)], values[place + radius + 1 :]
+    return max((float(side.max()) for side in sides if side.size), default=None)
+
+
+def _constant(rows: NDArray[np.float64]) -> NDArray[np.bool_]:
+    # Asked of the extremes, because rounding can leave a constant row a σ that is not quite 0.
+    same: NDArray[np.bool_] = rows.min(axis=-1, keepdims=True) == rows.max(axis=-1, keepdims=True)
+    return same

@@ -1,0 +1,113 @@
+"""The entrants of a study: policies as compare.py takes them, and groups of trained selectors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
+
+from _contestants import contestants
+
+from amusic_gym.comparison import Contestant, all_subsets
+from amusic_gym.names import suggest
+from amusic_gym.policy import Context, Policy
+from amusic_gym.settings import STATISTICS
+from amusic_gym.study import Entrant
+from amusic_gym.study import cells as kinds
+from baselines import NEEDS_GROUND_TRUTH
+
+FAMILIES = {
+    "single": kinds.FIXED,
+    "subset": kinds.FIXED,
+    "music": kinds.FIXED,
+    "cascade": kinds.CASCADE,
+    "amusic": kinds.AMUSIC,
+    "random": kinds.RANDOM,
+    "oracle": kinds.BOUND,
+}
+"""Kind of a policy → its family; others are peers, and those with λ learned."""
+
+DRAWING = ("random",)
+"""Policies that draw."""
+
+
+@dataclass(frozen=True)
+class Lineup:
+    """What the command line asks for.
+
+    Attributes:
+        policies: specs, with ``@STATISTIC`` for one under another statistic.
+        selectors: name → specs of its trained runs, one per seed.
+        all_subsets: whether all fixed subsets are added.
+        statistic: what the user insists on; None: nothing.
+        compute_weights: λ of the learned selectors.
+    """
+
+    policies: tuple[str, ...]
+    selectors: dict[str, tuple[str, ...]]
+    all_subsets: bool
+    statistic: str | None
+    compute_weights: tuple[float, ...]
+
+    def entrants(self, techniques: Sequence[str]) -> list[Entrant]:
+        """All entrants for a bank with these techniques.
+
+        Raises:
+            FileNotFoundError: for a run folder that is not there.
+            ValueError: for an unknown statistic, or a spec without a run.
+        """
+        subsets = all_subsets(techniques) if self.all_subsets else []
+        specs = list(dict.fromkeys([*subsets, *self.policies]))
+        return [
+            *(self._policy(spec) for spec in specs),
+            *(self._selector(name, runs) for name, runs in self.selectors.items()),
+        ]
+
+    def _policy(self, spec: str) -> Entrant:
+        plain, statistic = split_statistic(spec)
+        kind = plain.partition(":")[0]
+        made = self._contestant(plain, statistic or self.statistic)
+        family = FAMILIES.get(kind, kinds.PEER)
+        if made.compute_weights != (None,):
+            family = kinds.LEARNED
+        return Entrant(
+            name=spec,
+            family=kinds.VARIANT if statistic else family,
+            contestants=(made,),
+            statistic=statistic,
+            draws=kind in DRAWING,
+            needs_truth=NEEDS_GROUND_TRUTH.get(kind, ""),
+        )
+
+    def _selector(self, name: str, runs: Sequence[str]) -> Entrant:
+        made = tuple(self._contestant(run, self.statistic) for run in runs)
+        return Entrant(name=name, family=kinds.LEARNED, contestants=made)
+
+    def _contestant(self, spec: str, statistic: str | None) -> Contestant:
+        (made,) = contestants([spec], statistic=statistic, compute_weights=self.compute_weights)
+        return replace(made, make=partial(build, spec, statistic))
+
+
+def split_statistic(spec: str) -> tuple[str, str | None]:
+    """``POLICY@STATISTIC`` in its two parts; a folder's name may hold an @.
+
+    Raises:
+        ValueError: for an unknown statistic.
+    """
+    plain, at, statistic = spec.rpartition("@")
+    if at and statistic in STATISTICS:
+        return plain, statistic
+    if at and not spec.startswith("ppo:"):
+        raise ValueError(f"{spec}: {suggest('statistic', statistic, STATISTICS)}")
+    return spec, None
+
+
+def build(spec: str, statistic: str | None, context: Context) -> Policy:
+    """Build a policy; a function that workers can import."""
+    return _made(spec, statistic).make(context)
+
+
+@cache
+def _made(spec: str, statistic: str | None) -> Contestant:
+    (made,) = contestants([spec], statistic=statistic)
+    return made

@@ -1,0 +1,154 @@
+"""The teacher of an imitation: for every part of the range of λ, the cascade that pays most."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from agents.config import TrainingConfig
+from agents.teachers import ByWeight, partition
+from agents.training import TRAINING_SEED
+from amusic_gym.bank import ScoreBank
+from amusic_gym.metrics import compute
+from amusic_gym.rollout import Job, rollouts
+from amusic_gym.routes.simulate import POPULATION
+from amusic_gym.sources import SimulatedRoutes
+from amusic_gym.trace import write_whole
+from baselines.cascade import Cascade
+
+FILE = "teacher.json"
+PARTS = 12
+"""Into how many the range of λ is cut."""
+
+ROUTES = 32
+"""Simulated training routes on which the cascades are measured."""
+
+EVERYTHING = 99
+"""Always running so many of the cheapest techniques is running all."""
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Arguments of a :class:`baselines.cascade.Cascade`."""
+
+    cheap: int
+    hold: int
+    threshold: float
+
+
+GRID: tuple[Parameters, ...] = (
+    *(Parameters(cheap, 1, 0.0) for cheap in (1, 2, 3, EVERYTHING)),  # never in doubt
+    *(Parameters(*each) for each in product((1, 2, 3), (5, 20, 60), (0.3, 0.5, 0.7, 0.9))),
+)
+
+
+class Choice(NamedTuple):
+    """The cascade for a λ, and what it reached there.
+
+    Attributes:
+        compute_weight: λ.
+        parameters: of the cascade.
+        score: correct − λ · compute per frame, with true correctness.
+        accuracy: share of frames with a true place.
+        compute: seconds / (frames · Σ seconds).
+    """
+
+    compute_weight: float
+    parameters: Parameters
+    score: float
+    accuracy: float
+    compute: float
+
+
+def teacher_routes(seed: int, routes: int = ROUTES) -> list[ScoreBank]:
+    """Simulated routes of a training's seed; no evaluation uses them."""
+    source = SimulatedRoutes(POPULATION, pool=routes, seed=TRAINING_SEED + seed, keep=routes)
+    rng = np.random.default_rng(0)
+    return [source.sample(rng, i)[0] for i in range(routes)]
+
+
+def choose_cascades(
+    banks: Sequence[ScoreBank],
+    weights: Sequence[float],
+    *,
+    statistic: str,
+    grid: Sequence[Parameters] = GRID,
+    progress: bool = True,
+) -> list[Choice]:
+    """The cascade of the highest score for each λ; among equals the first of the grid.
+
+    A cascade does not look at λ, so each drives every route once.
+
+    Args:
+        banks: routes with ground truth; correctness is the true one, not p̂.
+        weights: the λ.
+        statistic: SIC's statistic.
+        grid: what is tried.
+        progress: whether to show a progress bar.
+    """
+    measured = []  # (parameters) of (accuracy, compute)
+    jobs = [Job(bank) for bank in banks]
+    for parameters in tqdm(grid, desc="choosing the teacher", disable=not progress):
+        cascade = Cascade(**asdict(parameters))
+        traces = rollouts(cascade, jobs, name="cascade", statistic=statistic)
+        correct = np.mean([trace.correct.mean() for trace in traces])
+        measured.append((correct, np.mean([compute(trace) for trace in traces])))
+    accuracy, cost = np.array(measured).T
+    choices = []
+    for weight in weights:
+        scores = accuracy - weight * cost
+        best = int(scores.argmax())
+        reached = (scores[best], accuracy[best], cost[best])
+        choices.append(Choice(float(weight), grid[best], *map(float, reached)))
+    return choices
+
+
+def teacher_of(choices: Sequence[Choice], weights: tuple[float, float]) -> ByWeight:
+    """The teacher that follows the choice for each part of a range of λ."""
+    edges, _ = partition(weights, len(choices))
+    return ByWeight(edges, [Cascade(**asdict(choice.parameters)) for choice in choices])
+
+
+def make_teacher(out: Path, config: TrainingConfig, *, resume: bool = False) -> ByWeight:
+    """The teacher of a run: chosen, and written to its ``teacher.json``.
+
+    Args:
+        out: the imitation's run folder.
+        config: of the imitation.
+        resume: take the teacher of the file, if there is one.
+
+    Raises:
+        ValueError: for a damaged ``teacher.json``.
+    """
+    path = out / FILE
+    low, high = config.compute_weights
+    if resume and path.exists():
+        choices = _read(path)
+    else:
+        _, middles = partition((low, high), PARTS if low < high else 1)
+        banks = teacher_routes(config.seed)
+        choices = choose_cascades(banks, middles, statistic=config.statistic)
+        _write(path, choices)
+    return teacher_of(choices, (low, high))
+
+
+def _write(path: Path, choices: Sequence[Choice]) -> None:
+    rows: list[dict[str, Any]] = [
+        {**choice._asdict(), "parameters": asdict(choice.parameters)} for choice in choices
+    ]
+    write_whole(path, (json.dumps(rows, indent=1) + "\n").encode())
+
+
+def _read(path: Path) -> list[Choice]:
+    try:
+        rows = json.loads(path.read_text("utf-8"))
+        return [Choice(**{**row, "parameters": Parameters(**row["parameters"])}) for row in rows]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is damaged ({error}); delete it to choose again") from error

@@ -1,0 +1,449 @@
+"""The algorithms beside PPO: each learns, stores what it learned without pickle, and drives."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from env_cases import random_bank
+from safetensors.torch import load_file
+from small_training import SMALL
+
+from agents import learners
+from agents.config import TrainingConfig, training_config
+from agents.evaluation import HeldOut
+from agents.learners import ALGORITHMS, KINDS, subsets
+from agents.learners.recurrent import RecurrentNetwork, RecurrentSelector, RecurrentSizes
+from agents.learners.reselect import (
+    FIRST_LOGIT,
+    HeldSelection,
+    ReselectNetwork,
+    ReselectSelector,
+    ReselectSizes,
+)
+from agents.learners.sets import SetSizes
+from agents.learners.subsets import SubsetNetwork, SubsetSelector, SubsetVecEnv
+from agents.network import ROUTE_WIDTH, WIDTH
+from agents.run_folder import CHECKPOINT, SELECTOR, read_tensors
+from agents.selector import load_selector
+from agents.training import make_model, train
+from amusic_gym.bank import ScoreBank
+from amusic_gym.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
+from amusic_gym.rollout import Job, rollout, rollouts
+from amusic_gym.settings import BLOCK, SICSettings
+from amusic_gym.sources import Banks
+from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+
+OTHERS = ("dqn", "maskable", "recurrent", "reselect")
+PRESENT = TECHNIQUE_FEATURES.index("present")
+STATISTIC = SICSettings.statistic
+
+
+def small(algorithm: str, **changes) -> TrainingConfig:
+    return training_config(algorithm, **{**SMALL, "timesteps": 96, **changes})
+
+
+class Quick(HeldOut):
+    """Held-out routes that take no time."""
+
+    def __init__(self, routes: int, statistic: str) -> None:
+        self.jobs = [Job(random_bank(77, queries=12), 0.5)]
+        self.statistic = statistic
+
+
+@pytest.fixture(autouse=True, scope="module")
+def quick():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("agents.training.HeldOut", Quick)
+        yield
+
+
+def mixed_banks() -> list[ScoreBank]:
+    """Banks of two, three and four techniques."""
+    return [random_bank(n, techniques=n, queries=15 + n) for n in (2, 3, 4)]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory) -> dict[str, Path]:
+    """A small run of every algorithm, on ensembles of different size."""
+    folder = tmp_path_factory.mktemp("runs")
+    for algorithm in OTHERS:
+        train(folder / algorithm, small(algorithm), banks=mixed_banks(), progress=False)
+    return {algorithm: folder / algorithm for algorithm in OTHERS}
+
+
+def observations(rng: np.random.Generator, batch: int, slots: int, absent: int = 0) -> torch.Tensor:
+    """(B, D) random observations whose last slots are empty."""
+    groups = rng.uniform(-1, 1, (batch, slots, WIDTH)).astype(np.float32)
+    groups[..., PRESENT] = 1.0
+    groups[:, slots - absent :] = 0.0
+    route = rng.uniform(-1, 1, (batch, ROUTE_WIDTH)).astype(np.float32)
+    return torch.from_numpy(np.concatenate([groups.reshape(batch, -1), route], axis=1))
+
+
+def permuted(observation: torch.Tensor, order: list[int]) -> torch.Tensor:
+    """The same observations with the techniques in another order."""
+    groups = observation[:, :-ROUTE_WIDTH].unflatten(1, (-1, WIDTH))[:, order]
+    return torch.cat([groups.flatten(1), observation[:, -ROUTE_WIDTH:]], dim=1)
+
+
+# ---- every algorithm -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("algorithm", OTHERS)
+def test_a_run_folder_holds_the_trained_network_and_no_pickle(runs, algorithm):
+    run = runs[algorithm]
+    for file in run.iterdir():
+        assert file.suffix in (".json", ".safetensors", ".csv") or "tfevents" in file.name
+        assert not zipfile.is_zipfile(file)
+    config = json.loads((run / "config.json").read_text())
+    assert config["training"]["algorithm"] == algorithm
+    weights, metadata = read_tensors(run / SELECTOR)
+    checkpoint, _ = read_tensors(run / CHECKPOINT)
+    assert json.loads(metadata["network"])["kind"] in KINDS
+    for name, tensor in load_selector(run).network.state_dict().items():
+        assert torch.equal(tensor, weights[name])
+        assert sum(key.endswith(name) for key in checkpoint) >= 1
+
+
+@pytest.mark.parametrize("algorithm", OTHERS)
+def test_a_selector_drives_ensembles_of_any_size_in_any_company(runs, algorithm):
+    """Alone or beside other routes, a route goes the same way."""
+    jobs = [Job(bank, weight) for bank in mixed_banks() for weight in (0.1, 3.0)]
+    jobs.append(Job(random_bank(9, techniques=6, queries=30), 0.5))
+    together = rollouts(load_selector(runs[algorithm]), jobs, name=algorithm)
+    for job, trace in zip(jobs, together, strict=True):
+        assert trace.ran.any(axis=1).all()
+        assert trace.statistic == STATISTIC
+        selector = load_selector(runs[algorithm])
+        alone = rollout(selector, job.bank, name="x", compute_weight=job.compute_weight)
+        np.testing.assert_array_equal(alone.runs, trace.runs)
+        np.testing.assert_array_equal(alone.predictions, trace.predictions)
+
+
+@pytest.mark.parametrize("algorithm", OTHERS)
+def test_a_run_is_resumed(runs, algorithm, tmp_path):
+    run = Path(shutil.copytree(runs[algorithm], tmp_path / "run"))
+    before = load_file(run / CHECKPOINT)
+    longer = small(algorithm, timesteps=160)
+    train(run, longer, banks=mixed_banks(), resume=True, progress=False)
+    after, metadata = read_tensors(run / CHECKPOINT)
+    assert int(metadata["timesteps"]) == 160
+    assert after.keys() == before.keys()
+    assert any(not torch.equal(after[name], before[name]) for name in before)
+
+
+@pytest.mark.parametrize("algorithm", OTHERS)
+def test_the_same_seed_gives_the_same_weights(runs, algorithm, tmp_path):
+    train(tmp_path, small(algorithm), banks=mixed_banks(), progress=False)
+    first, second = load_file(runs[algorithm] / CHECKPOINT), load_file(tmp_path / CHECKPOINT)
+    assert [name for name in first if not torch.equal(first[name], second[name])] == []
+    assert (runs[algorithm] / SELECTOR).read_bytes() == (tmp_path / SELECTOR).read_bytes()
+
+
+def good_and_useless() -> ScoreBank:
+    """A dear technique that is always right, second, between two cheap ones that never are."""
+    scores = np.random.default_rng(0).normal(size=(3, 40, 60))
+    scores[1] = np.eye(40, 60) * 30.0
+    return ScoreBank(scores, ["A", "B", "C"], [1.0, 2.0, 1.0], tolerance=1)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "batch_size", "learning_rate"),
+    [("dqn", 128, 0.01), ("maskable", 256, 0.01), ("recurrent", 256, 0.02)],
+)
+def test_an_algorithm_finds_the_one_technique_that_is_worth_its_cost(
+    algorithm, batch_size, learning_rate, tmp_path
+):
+    bank, weight = good_and_useless(), 0.5
+    config = small(
+        algorithm,
+        timesteps=3_000,
+        n_envs=16,
+        n_steps=16,
+        batch_size=batch_size,
+        epochs=4,
+        learning_rate=learning_rate,
+        compute_weights=(weight, weight),
+        evaluate_every=10**6,
+    )
+    selector = train(tmp_path, config, banks=[bank], progress=False)
+    ran = rollout(selector, bank, name=algorithm, compute_weight=weight).ran[5:]
+    assert ran[:, 1].mean() > 0.9
+    assert ran[:, [0, 2]].mean() < 0.2
+
+
+def test_unknown_algorithms_and_kinds_are_refused_with_the_nearest():
+    with pytest.raises(ValueError, match="algorithm 'maskabel'.*'maskable'"):
+        TrainingConfig(algorithm="maskabel")
+    with pytest.raises(ValueError, match="algorithm 'pqo'.*'ppo'"):
+        learners.learner("pqo")
+    with pytest.raises(ValueError, match="kind of selector 'subset'.*'subsets'"):
+        learners.kind("subset")
+    with pytest.raises(ValueError, match="'imitation' learns from a teacher; call"):
+        learners.learner("imitation")
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_every_algorithm_has_defaults(algorithm):
+    assert training_config(algorithm, seed=3).algorithm == algorithm
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_every_kind_is_stored_under_its_name_and_refuses_sizes(name):
+    kind = learners.kind(name)
+    assert kind.name == name
+    network = kind.network(kind.sizes(hidden=8))
+    assert isinstance(kind.selector(network, STATISTIC, None).needs.statistic, str)
+    with pytest.raises(ValueError, match="hidden is 0; give a whole number from 1 to"):
+        kind.sizes(hidden=0)
+
+
+# ---- subsets -------------------------------------------------------------------------------
+
+
+def bits(*rows: str) -> np.ndarray:
+    return np.array([[digit == "1" for digit in row] for row in rows])
+
+
+def test_subsets_are_numbered_by_their_bits():
+    wanted = bits("000", "100", "010", "110", "001", "101", "011", "111")
+    np.testing.assert_array_equal(subsets.members(3).numpy(), wanted)
+
+
+def test_subsets_with_absent_members_and_the_empty_one_are_not_valid():
+    present = torch.from_numpy(bits("111", "101", "010"))
+    wanted = bits("01111111", "01001100", "00100000")
+    np.testing.assert_array_equal(subsets.valid(present).numpy(), wanted)
+
+
+def test_too_many_subsets_are_refused():
+    selector = SubsetSelector(SubsetNetwork(SetSizes()), STATISTIC)
+    with pytest.raises(ValueError, match="11 techniques have 2\\^11 subsets.*at most 10"):
+        rollout(selector, random_bank(1, techniques=11, queries=3), name="many")
+
+
+def subset_network() -> SubsetNetwork:
+    torch.manual_seed(1)
+    return SubsetNetwork(SetSizes(hidden=16, encoding=8))
+
+
+@torch.no_grad()
+def test_permuting_the_techniques_permutes_the_subsets():
+    network, seen = subset_network(), observations(np.random.default_rng(0), 4, 3)
+    order = [2, 0, 1]
+    member = subsets.members(3).numpy()
+    same = [int(np.flatnonzero((member[:, order] == row).all(1))[0]) for row in member]
+    ratings = network(seen)
+    torch.testing.assert_close(network(permuted(seen, order)), ratings[:, same])
+    assert ratings.std(dim=1).min() > 0.01
+
+
+@torch.no_grad()
+def test_absent_members_change_no_rating():
+    network, seen = subset_network(), observations(np.random.default_rng(0), 4, 3)
+    groups, route = seen[:, :-ROUTE_WIDTH], seen[:, -ROUTE_WIDTH:]
+    wider = torch.cat([groups, torch.zeros(4, WIDTH), route], dim=1)
+    ratings = network(wider)
+    torch.testing.assert_close(ratings[:, :8], network(seen))
+    torch.testing.assert_close(ratings[:, 8:], network(seen))
+
+
+def test_the_selector_runs_the_valid_subset_of_the_highest_rating():
+    seen = observations(np.random.default_rng(3), 50, 3, absent=1)
+    network = subset_network()
+    runs = SubsetSelector(network, STATISTIC).act(seen.numpy(), {})
+    with torch.no_grad():
+        best = network(seen)[:, 1:4].argmax(1).numpy() + 1
+    np.testing.assert_array_equal(runs, subsets.members(3).numpy()[best])
+    assert len(set(best)) > 1
+
+
+def subset_env(routes: int = 6) -> SubsetVecEnv:
+    source = Banks(mixed_banks(), aligned=False)
+    env = TechniqueSelectionVectorEnv(routes, source, slots=4, autoreset_mode="SameStep")
+    env.reset(seed=0)
+    return SubsetVecEnv(env)
+
+
+def test_numbers_of_subsets_become_runs_and_masks_follow_the_ensemble():
+    env = subset_env()
+    env.reset()
+    assert env.action_space.n == 16
+    for step in range(40):
+        infos = env.env.task.episodes.state.slots["present"] > 0
+        masks = np.stack(env.env_method("action_masks"))
+        assert masks.shape == (6, 16)
+        np.testing.assert_array_equal(masks.sum(1), 2.0 ** infos.sum(1) - 1)
+        choices = np.array([np.flatnonzero(mask)[step % mask.sum()] for mask in masks])
+        env.step_async(choices)
+        done = env.step_wait()[2]
+        ran = env.env.task.episodes.state.slots["ran"] > 0
+        np.testing.assert_array_equal(ran[~done], subsets.members(4).numpy()[choices][~done])
+    assert env.has_attr("action_masks")
+    assert not env.has_attr("action_mask")
+
+
+def test_maskable_ppo_draws_valid_subsets_only():
+    model = make_model(small("maskable", n_envs=12, n_steps=8), Banks(mixed_banks(), aligned=False))
+    model.learn(96)
+    seen = torch.from_numpy(model.rollout_buffer.observations.reshape(96, -1))
+    present = seen[:, : 4 * WIDTH].unflatten(1, (4, WIDTH))[..., PRESENT] == 1.0
+    drawn = subsets.members(4)[torch.from_numpy(model.rollout_buffer.actions).long().flatten()]
+    assert {2, 3, 4} == set(present.sum(1).tolist())
+    assert drawn.any(1).all()
+    assert not (drawn & ~present).any()
+    assert len(drawn.unique(dim=0)) > 8
+
+
+# ---- memory --------------------------------------------------------------------------------
+
+
+def recurrent_network() -> RecurrentNetwork:
+    torch.manual_seed(2)
+    network = RecurrentNetwork(RecurrentSizes(hidden=16, encoding=8, memory=8))
+    sharpen(network)
+    return network
+
+
+@torch.no_grad()
+def sharpen(network: RecurrentNetwork) -> None:
+    """Make logits and memory differ from frame to frame, as they do after training."""
+    network.head[-1].weight.mul_(300.0)
+    network.head[-1].bias.zero_()
+    for weights in network.lstm.parameters():
+        weights.mul_(4.0)
+
+
+def test_the_memory_is_carried_per_route_and_forgotten_by_mask():
+    network = recurrent_network()
+    rng, routes = np.random.default_rng(0), 60
+    frames = torch.stack([observations(rng, routes, 2) for _ in range(8)])  # (L, N, D)
+    blank = torch.zeros(1, routes, 8)
+    with torch.no_grad():
+        whole = network.logits(frames, (blank, blank))[0].numpy() > 0.0
+        late = network.logits(frames[4:], (blank, blank))[0].numpy() > 0.0
+    selector = RecurrentSelector(network, STATISTIC)
+    selector.reset(np.ones(routes, np.bool_))
+    anew = np.arange(routes) % 2 == 1
+    acted = []
+    for step, seen in enumerate(frames):
+        if step == 4:
+            selector.reset(anew)
+        acted.append(selector.act(seen.numpy(), {}))
+    np.testing.assert_array_equal(np.stack(acted)[:, ~anew], whole[:, ~anew])
+    np.testing.assert_array_equal(np.stack(acted)[4:, anew], late[:, anew])
+    assert (late[0, anew] != whole[4, anew]).any()  # it does remember
+
+
+@torch.no_grad()
+def test_permuting_the_techniques_permutes_the_recurrent_logits():
+    network, blank = recurrent_network(), torch.zeros(1, 4, 8)
+    seen = observations(np.random.default_rng(0), 4, 3, absent=1)
+    logits, memory = network.logits(seen[None], (blank, blank))
+    moved, same = network.logits(permuted(seen, [2, 0, 1])[None], (blank, blank))
+    torch.testing.assert_close(moved, logits[:, :, [2, 0, 1]], rtol=1e-4, atol=1e-3)
+    torch.testing.assert_close(same, memory)
+    assert (logits[..., 2] < -10.0).all()  # the empty slot
+    assert logits[..., :2].std() > 0.1
+
+
+def test_the_recurrent_policy_and_the_selector_agree():
+    source = Banks([random_bank(1)])
+    model = make_model(small("recurrent"), source)
+    network = learners.learner("recurrent").network(model)
+    sharpen(network)
+    env, seen = model.env, model.env.reset()
+    with torch.no_grad():  # a last layer that tells these techniques apart
+        blank = torch.zeros(1, 4, network.hidden_size)
+        logits, _ = network.logits(torch.from_numpy(seen)[None], (blank, blank))
+        network.head[-1].bias.sub_(logits.mean())
+    selector = RecurrentSelector(network, STATISTIC)
+    state, begun = None, np.ones(4, np.bool_)
+    chosen = set()
+    for _ in range(50):  # a route has 40 frames
+        action, state = model.predict(seen, state, begun, deterministic=True)
+        selector.reset(begun)
+        np.testing.assert_array_equal(selector.act(seen, {}), action == 1)
+        chosen.update(map(tuple, action))
+        seen, _, begun, _ = env.step(action)
+    assert len(chosen) > 1
+
+
+# ---- when to select again ------------------------------------------------------------------
+
+
+def reselect_selector(logit: float, block: int = BLOCK) -> ReselectSelector:
+    """One that wants to select again at a constant rate."""
+    network = ReselectNetwork(ReselectSizes(block=block))
+    with torch.no_grad():
+        network.last.weight.zero_()
+        network.last.bias.fill_(logit)
+    return ReselectSelector(network, STATISTIC)
+
+
+def test_all_run_until_the_first_selection_and_the_selected_ones_from_there(bank):
+    trace = rollout(reselect_selector(-50.0, block=7), bank, name="once")
+    assert np.flatnonzero(trace.selections).tolist() == [7]
+    assert trace.ran[:7].all()
+    assert (trace.ran[7:] == trace.ran[7]).all()
+    assert not trace.ran[7].all()
+
+
+def test_a_route_that_begins_runs_all_again():
+    held = HeldSelection(block=2)
+    present = np.array([[True, True, True], [True, True, False]])
+    nothing = {"happened": np.zeros(2, np.bool_), "selected": np.zeros((2, 3), np.bool_)}
+    chosen = {"happened": np.ones(2, np.bool_), "selected": bits("010", "100")}
+
+    def actions(frames: list[int], selection: dict) -> list[list[int]]:
+        held.note({"present": present, "selection": selection, "frame": np.array(frames)})
+        return held.actions(np.ones(2, np.bool_)).astype(int).tolist()
+
+    assert actions([-1, -1], nothing) == [[1, 1, 1, 0], [1, 1, 0, 0]]
+    assert actions([0, 0], nothing) == [[1, 1, 1, 0], [1, 1, 0, 0]]
+    assert actions([1, 1], nothing) == [[1, 1, 1, 1], [1, 1, 0, 1]]
+    assert actions([2, 2], chosen) == [[0, 1, 0, 1], [1, 0, 0, 1]]
+    assert actions([3, -1], nothing) == [[0, 1, 0, 1], [1, 1, 0, 0]]
+
+
+def test_the_bit_selects_again(bank):
+    trace = rollout(reselect_selector(50.0, block=7), bank, name="always")
+    assert np.flatnonzero(trace.selections).tolist() == list(range(7, 40))
+
+
+@pytest.mark.parametrize("rate", [0.05, 0.3])
+def test_the_learned_rate_is_kept(rate):
+    bank = random_bank(2, queries=210, references=210)
+    trace = rollout(reselect_selector(float(np.log(rate / (1 - rate)))), bank, name="sometimes")
+    assert trace.selections[BLOCK + 1 :].mean() == pytest.approx(rate, abs=0.02)
+
+
+def test_training_and_driving_hold_the_same_selection():
+    """What the environment of the training runs is what the selector asks for."""
+    model = make_model(small("reselect"), Banks([random_bank(1), random_bank(2, queries=25)]))
+    selector = reselect_selector(0.0)
+    env = model.env.env
+    seen, info = env.reset(seed=0)
+    for _ in range(60):
+        actions = selector.act(seen, info)
+        seen, _, terminated, truncated, info = env.step(actions[:, -1])
+        going = ~(terminated | truncated) & ~info["selection"]["happened"]
+        np.testing.assert_array_equal(info["ran"][going], actions[going, :-1])
+    assert env.single_action_space.n == 2
+
+
+def test_selecting_again_is_rare_at_first():
+    torch.manual_seed(0)
+    network = ReselectNetwork(ReselectSizes())
+    logits = network.logits(observations(np.random.default_rng(0), 20, 3))
+    assert (logits - FIRST_LOGIT).abs().max() < 0.2
+
+
+def test_the_layout_is_the_observation_s():
+    assert (WIDTH, ROUTE_WIDTH) == (len(TECHNIQUE_FEATURES), len(ROUTE_FEATURES))
