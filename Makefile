@@ -17,11 +17,11 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 PACKAGES := amusic_gym baselines agents scripts tests
 
-.PHONY: help setup demo test lint format bench clean
+.PHONY: help setup demo test lint format bench train-default clean
 
 help:
 	@sed -n '/^#/!q; s/^# \{0,1\}//p' Makefile
-	@echo; echo "Targets: setup demo test lint format bench clean"
+	@echo; echo "Targets: setup demo test lint format bench train-default clean"
 
 setup: $(STAMP)
 
@@ -73,8 +73,13 @@ bench: setup
 	@mkdir -p out
 	$(PY) scripts/bench.py --out out/bench.json $(ARGS)
 
+# The selector that ships, again from its seed: agents/pretrained/CARD.md.
+train-default: export OMP_NUM_THREADS ?= 1
+train-default: setup
+	$(PY) scripts/train_default.py --out out/default $(ARGS)
+
 # What the targets above made; trained runs elsewhere stay.
 clean:
-	rm -rf $(VENV) out/demo out/bench.json build dist *.egg-info
+	rm -rf $(VENV) out/demo out/default out/bench.json build dist *.egg-info
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find $(wildcard $(PACKAGES)) -name __pycache__ -prune -exec rm -rf {} +

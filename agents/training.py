@@ -139,8 +139,11 @@ def refuse_used(out: Path) -> None:
 
 def training_source(config: TrainingConfig, banks: Sequence[BankLike] = ()) -> RouteSource:
     """The given banks, or the simulated routes of the configuration's seed."""
-    if banks:
-        return Banks(list(banks), aligned=False)
+    return Banks(list(banks), aligned=False) if banks else simulated_routes(config)
+
+
+def simulated_routes(config: TrainingConfig) -> SimulatedRoutes:
+    """The simulated routes of the configuration's seed; no evaluation uses them."""
     seed = TRAINING_SEED + config.seed
     return SimulatedRoutes(POPULATION, pool=config.pool, seed=seed, keep=config.pool)
 

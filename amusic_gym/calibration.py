@@ -1,8 +1,9 @@
 """Estimated correctness p̂: a calibrated function of statistic and margin.
 
 The coefficients were fitted on simulated routes only, by ``scripts/calibrate.py``, and are read
-from ``calibration.json``. The compiled twins of :func:`design` and the logistic function are
-``estimate`` and, for the belief, ``believe`` in :mod:`amusic_gym.dynamics`; tests hold them equal.
+from ``calibration.json``. The compiled twins of :func:`design`, :func:`belief_design` and the
+logistic function are ``estimate`` and ``believe`` in :mod:`amusic_gym.dynamics`; tests hold them
+equal.
 """
 
 from __future__ import annotations
@@ -25,43 +26,41 @@ def stored() -> dict[str, Any]:
     return table
 
 
-UNCALIBRATED = (0.0, 1.0, 0.0)
+UNCALIBRATED = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
 """Coefficients with which the belief is taken at its word: p̂ is the belief itself."""
 
 
 def coefficients(statistic: str) -> NDArray[np.float64]:
-    """Coefficients of the calibration for a statistic.
+    """Coefficients (5,) of the calibration for a statistic.
 
-    ``mean`` and ``evidence``, (5,): with s = asinh(statistic) and m = asinh(margin) of the fused
-    winner, logit p̂ = b₀ + b₁s + b₂m where it has a rival beyond the tolerance, and b₃ + b₄s where
-    it has none.
+    ``mean`` and ``evidence``: with s = asinh(statistic) and m = asinh(margin) of the fused winner,
+    logit p̂ = b₀ + b₁s + b₂m where it has a rival beyond the tolerance, and b₃ + b₄s where it has
+    none.
 
-    ``belief``, (3,): logit p̂ = b₀ + b₁s + b₂m, where s is the log-odds of the belief within the
-    tolerance of the prediction, and m the logarithm of its ratio to the belief around the best
-    rival. Both are finite, with and without a rival.
+    ``belief``: logit p̂ = b₀ + b₁s + b₂m + b₃l + b₄a. Here s is the log-odds of the belief within
+    the tolerance of the prediction, m the logarithm of its ratio to the belief around the best
+    rival, l the log-likelihood that the frame's rows gave the prediction together, and a the
+    running mean over the frames of what each row gave it.
     """
     entry = stored()["coefficients"][statistic]
     return np.array([number for part in entry.values() for number in part])
 
 
-def design(
-    statistic: ArrayLike, margin: ArrayLike | None, *, logarithms: bool = False
+def design(statistic: ArrayLike, margin: ArrayLike | None) -> NDArray[np.float64]:
+    """Inputs of SIC's logit: (n, 3) with margins, (n, 2) without rivals."""
+    s = np.arcsinh(np.asarray(statistic, np.float64))
+    columns = [np.ones_like(s), s]
+    if margin is not None:
+        columns.append(np.arcsinh(np.asarray(margin, np.float64)))
+    return np.stack(columns, axis=-1)
+
+
+def belief_design(
+    log_odds: ArrayLike, log_ratio: ArrayLike, said: ArrayLike, said_mean: ArrayLike
 ) -> NDArray[np.float64]:
-    """Inputs of the logit.
-
-    Args:
-        statistic: (n,) of the fused winner.
-        margin: (n,) over its best rival; None: there is none.
-        logarithms: whether both are logarithms already, as those of the belief are.
-
-    Returns:
-        (n, 3) with margins, (n, 2) without.
-    """
-    given = [statistic] if margin is None else [statistic, margin]
-    values = [np.asarray(value, np.float64) for value in given]
-    if not logarithms:
-        values = [np.arcsinh(value) for value in values]
-    return np.stack([np.ones_like(values[0]), *values], axis=-1)
+    """Inputs (n, 5) of the belief's logit; all are logarithms already."""
+    columns = [np.asarray(given, np.float64) for given in (log_odds, log_ratio, said, said_mean)]
+    return np.stack([np.ones_like(columns[0]), *columns], axis=-1)
 
 
 def logistic(logit: NDArray[np.float64]) -> NDArray[np.float64]:

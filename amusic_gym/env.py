@@ -77,6 +77,8 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     | compute_mean | squash of its running mean |
     | agreeing | share of the techniques whose diagonal is the fused one |
     | steady | probability of steady motion, one place per frame, by `belief` |
+    | said | squash of the log-likelihood that this frame's rows gave the prediction, by `belief` |
+    | said_mean | squash of the running mean of what each row gave it |
     | strange | squash of how much the rows changed last, over what is usual for them, by `belief` |
     | size | places of the map on a logarithmic scale, 1 → −1, 1000 → 0, a million → 1, clipped |
 
@@ -86,7 +88,7 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     fused place then. The *confidence* is the calibrated log-odds of being within the tolerance,
     and the *margin* over the rival the log ratio of the belief around the fused place and around
     the best one that shares no place with it. With the other statistics, `trust`, `weight`,
-    `steady` and `strange` are 0.
+    `steady`, `said`, `said_mean` and `strange` are 0.
 
     ## Rewards
     p̂ − λ · (seconds run in this step / Σ seconds), from declared seconds; the terms are in

@@ -14,6 +14,9 @@ from baselines import make_policy
 
 BASELINES = Path(baselines.__file__).parent
 
+SHIPPED = BASELINES.parent / "agents" / "pretrained"
+"""Run folder of the selector that ships; named without loading PyTorch."""
+
 
 def contestants(
     specs: Sequence[str],
@@ -30,7 +33,6 @@ def contestants(
 
     Raises:
         FileNotFoundError: for a run folder that is not there.
-        ValueError: for a spec without a run.
     """
     return [_contestant(spec, statistic, tuple(compute_weights)) for spec in dict.fromkeys(specs)]
 
@@ -39,12 +41,7 @@ def _contestant(spec: str, statistic: str | None, weights: tuple[float, ...]) ->
     name, _, folder = spec.partition(":")
     if name != "ppo":
         return Contestant(spec, partial(make_policy, spec), version=code_digest(BASELINES))
-    if not folder:
-        raise ValueError(
-            "policy 'ppo' needs a trained run, no selector ships yet: train one with "
-            "scripts/train.py --out RUN and write ppo:RUN"
-        )
-    return _learned(spec, Path(folder), statistic, weights)
+    return _learned(spec, Path(folder) if folder else SHIPPED, statistic, weights)
 
 
 def _learned(

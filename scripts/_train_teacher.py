@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,12 +14,10 @@ from tqdm import tqdm
 
 from agents.config import TrainingConfig
 from agents.teachers import ByWeight, partition
-from agents.training import TRAINING_SEED
+from agents.training import simulated_routes
 from amusic_gym.bank import ScoreBank
 from amusic_gym.metrics import compute
 from amusic_gym.rollout import Job, rollouts
-from amusic_gym.routes.simulate import POPULATION
-from amusic_gym.sources import SimulatedRoutes
 from amusic_gym.trace import write_whole
 from baselines.cascade import Cascade
 
@@ -67,9 +65,9 @@ class Choice(NamedTuple):
     compute: float
 
 
-def teacher_routes(seed: int, routes: int = ROUTES) -> list[ScoreBank]:
+def teacher_routes(config: TrainingConfig, routes: int = ROUTES) -> list[ScoreBank]:
     """Simulated routes of a training's seed; no evaluation uses them."""
-    source = SimulatedRoutes(POPULATION, pool=routes, seed=TRAINING_SEED + seed, keep=routes)
+    source = simulated_routes(replace(config, pool=routes))
     rng = np.random.default_rng(0)
     return [source.sample(rng, i)[0] for i in range(routes)]
 
@@ -133,7 +131,7 @@ def make_teacher(out: Path, config: TrainingConfig, *, resume: bool = False) -> 
         choices = _read(path)
     else:
         _, middles = partition((low, high), PARTS if low < high else 1)
-        banks = teacher_routes(config.seed)
+        banks = teacher_routes(config)
         choices = choose_cascades(banks, middles, statistic=config.statistic)
         _write(path, choices)
     return teacher_of(choices, (low, high))

@@ -2,7 +2,7 @@
 
 The routes are drawn under ordinary conditions: no technique is blind in any of them, as none is on
 the recordings that the simulation was compared with. docs/fidelity.md says what other populations
-give. For the belief, which follows any motion, half of the routes are re-timed.
+give. For the belief, which follows any motion, most of them are re-timed.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from amusic_gym import __version__
 from amusic_gym.bank import ScoreBank
-from amusic_gym.calibration import FILE, UNCALIBRATED, design, fit
-from amusic_gym.routes.simulate import Simulation
+from amusic_gym.calibration import FILE, UNCALIBRATED, belief_design, design, fit
+from amusic_gym.routes.simulate import POPULATION, Simulation
 from amusic_gym.settings import STATISTICS
 from amusic_gym.trace import write_whole
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
@@ -28,58 +28,62 @@ from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 ORDINARY = Simulation(
     queries=(50, 400), ability=(0.5, 0.95), exclusive=0.0, useless=0.0, all_fail=0.0
 )
-ROUTES = {  # statistic -> what its routes are drawn from
-    "mean": ORDINARY,
-    "evidence": ORDINARY,
-    "belief": replace(ORDINARY, retimed=0.5),
-}
+MOVING = replace(POPULATION, ability=(0.5, 0.95), exclusive=0.0, useless=0.0, all_fail=0.0)
+ROUTES = {"mean": ORDINARY, "evidence": ORDINARY, "belief": MOVING}  # per statistic
 RATES = (0.1, 0.3, 0.6, 0.9)  # shares of the techniques that run on a frame
 
-Samples = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]
+Samples = tuple[NDArray[np.float64], NDArray[np.bool_]]
 Actions = Callable[[], NDArray[np.bool_]]
 
 
 def collect(banks: list[ScoreBank], statistic: str, candidates: int, act: Actions) -> Samples:
-    """Statistic, margin and correctness of every frame of the banks under some activity."""
+    """What p̂ is made of, and correctness, of every frame of the banks under some activity.
+
+    Returns:
+        (n, 2) confidence and margin; for the belief (n, 4), as `belief_design` takes them. And
+        (n,) bool.
+    """
+    slots = max(len(bank.techniques) for bank in banks)
     env = TechniqueSelectionVectorEnv(
-        len(banks), list(banks), statistic=statistic, candidates=candidates
+        len(banks), list(banks), slots=slots, statistic=statistic, candidates=candidates
     )
-    if statistic == "belief":  # whose confidence is calibrated; what is fitted must not be
-        episodes = env.task.episodes
-        episodes.rules = episodes.rules._replace(calibration=np.array(UNCALIBRATED))
+    episodes, names = env.task.episodes, ["confidence", "margin"]
+    if statistic == "belief":  # its confidence is a calibrated one
+        episodes.rules = episodes.rules._replace(calibration=UNCALIBRATED)
+        names += ["said", "said_mean"]
     env.reset(options={"bank": np.arange(len(banks)), "start": 0})
-    confidence, margin, correct = [], [], []
+    inputs, correct = [], []
     for frame in range(max(bank.queries for bank in banks)):
-        _, _, _, _, info = env.step(act())
+        env.step(act())
         for i, bank in enumerate(banks):
             if frame < bank.queries:
-                place = info["prediction"][i : i + 1]
-                confidence.append(info["confidence"][i])
-                margin.append(info["margin"][i])
-                correct.append(bank.truth.correct(place, np.array([frame]))[0])
-    return np.array(confidence), np.array(margin), np.array(correct)
+                known = episodes.state.routes[i : i + 1]
+                inputs.append([known[name][0] for name in names])
+                correct.append(bank.truth.correct(known["prediction"], np.array([frame]))[0])
+    return np.array(inputs), np.array(correct)
 
 
 def calibrate(banks: list[ScoreBank], statistic: str, seed: int) -> dict[str, list[float]]:
-    """Coefficients for a statistic: with a rival, and alone (one candidate, one technique)."""
+    """Coefficients for a statistic, as `calibration.json` has them.
+
+    For SIC with a rival, and alone (one candidate, one technique); for the belief of the place.
+    """
     rng = np.random.default_rng(seed)
-    shape = (len(banks), len(banks[0].techniques))
+    shape = (len(banks), max(len(bank.techniques) for bank in banks))
     fixed = rng.random(shape) < 0.4
     fixed[~fixed.any(axis=1), 0] = True
     rates = rng.choice(RATES, (len(banks), 1))
     single = np.eye(shape[1], dtype=np.bool_)[rng.integers(shape[1], size=len(banks))]
     steady = collect(banks, statistic, 50, lambda: fixed)
     random = collect(banks, statistic, 50, lambda: rng.random(shape) < rates)
-    confidence, margin, correct = (
-        np.concatenate(pair) for pair in zip(steady, random, strict=True)
-    )
-    belief = statistic == "belief"
-    with_rival = fit(design(confidence, margin, logarithms=belief), correct)
-    fitted = {"rival": np.round(with_rival, 4).tolist()}
-    if not belief:  # there, every place is a candidate
-        alone = collect(banks, statistic, 1, lambda: single)
-        fitted["alone"] = np.round(fit(design(alone[0], None), alone[2]), 4).tolist()
-    return fitted
+    inputs, correct = (np.concatenate(pair) for pair in zip(steady, random, strict=True))
+    if statistic == "belief":
+        return {"place": np.round(fit(belief_design(*inputs.T), correct), 4).tolist()}
+    lonely, right = collect(banks, statistic, 1, lambda: single)
+    return {
+        "rival": np.round(fit(design(*inputs.T), correct), 4).tolist(),
+        "alone": np.round(fit(design(lonely[:, 0], None), right), 4).tolist(),
+    }
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -11,10 +11,11 @@ from env_cases import random_bank
 from test_rollout import assert_same
 
 from amusic_gym.bank import ScoreBank
+from amusic_gym.env import TechniqueSelectionEnv
 from amusic_gym.metrics import summarise
 from amusic_gym.policy import Context, Selector
 from amusic_gym.rollout import Job, rollout, rollouts
-from amusic_gym.settings import STATISTICS
+from amusic_gym.settings import STATISTICS, SICSettings
 from amusic_gym.trace import Trace
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 from baselines import POLICIES, make_policy
@@ -26,7 +27,7 @@ ARGUMENTS = {
     "single": ["T2"],
     "subset": ["T0+T2", "T1"],
     "music": [None],
-    "amusic": [None, "evidence", "mean"],
+    "amusic": [None, "evidence", "mean", "belief"],
     "random": ["0.4", "0", "1"],
     "cascade": [None, "1/5/0.4", "1/5/margin=2"],
     "oracle": [None],
@@ -43,16 +44,17 @@ SPECS = [
     for name, arguments in ARGUMENTS.items()
     for argument in arguments
 ]
+DEFAULT = SICSettings.statistic
 ONE_ROUTE = ("oracle",)  # built for the bank they run on
 DRAWING = ("random",)
 LOCALISERS = ("raw", "mpf", "hmpf", "dynmpf", "switchhit", "plurality", "borda", "hmm")
 
 
-def make(spec: str, bank: ScoreBank, statistic: str = "evidence", seed: int = 0):
+def make(spec: str, bank: ScoreBank, statistic: str = DEFAULT, seed: int = 0):
     return make_policy(spec, Context.of(bank, statistic=statistic, seed=seed))
 
 
-def run(spec: str, bank: ScoreBank, statistic: str = "evidence", seed: int = 0) -> Trace:
+def run(spec: str, bank: ScoreBank, statistic: str = DEFAULT, seed: int = 0) -> Trace:
     return rollout(make(spec, bank, statistic, seed), bank, name=spec, statistic=statistic)
 
 
@@ -109,7 +111,7 @@ def test_actions_are_in_the_action_space(spec, routes, bank):
     env = TechniqueSelectionVectorEnv(
         routes,
         bank,
-        statistic=needs.statistic or "evidence",
+        statistic=needs.statistic or DEFAULT,
         reselection=needs.reselection,
         coverage=needs.coverage,
         allow_idle=needs.allow_idle,
@@ -188,7 +190,7 @@ def test_raw_is_the_best_score_of_every_row(technique, bank):
     assert trace.ran.tolist() == expected.ran
 
 
-@pytest.mark.parametrize("statistic", STATISTICS)
+@pytest.mark.parametrize("statistic", loops.STATISTICS)
 @pytest.mark.parametrize(
     ("spec", "active"), [("single:T1", [1]), ("subset:T0+T2", [0, 2]), ("music", [0, 1, 2])]
 )
@@ -296,15 +298,16 @@ def test_cascade_runs_no_absent_technique_and_counts_none_as_cheap():
     assert np.array_equal(cascade.act(None, doubts(4, 0.1, 0.1)), present)
 
 
-def test_cascade_on_a_route_runs_more_where_the_estimate_is_low(bank):
-    trace = run("cascade", bank)
+def test_cascade_on_a_route_runs_more_where_the_estimate_is_low():
+    trace = run("cascade", random_bank(7))
     low = np.flatnonzero(trace.p_correct[:-1] < 0.5)
     assert 0 < low.size
     assert trace.ran[low + 1].all()
+    assert not trace.ran.all()
     assert trace.ran[:, :2].all()  # the two cheapest
 
 
-@pytest.mark.parametrize("statistic", STATISTICS)
+@pytest.mark.parametrize("statistic", loops.STATISTICS)
 @pytest.mark.parametrize("seconds", [(1.0, 2.0, 3.0), (3.0, 1.0, 1.0)])
 def test_oracle_runs_the_cheapest_technique_that_is_right(statistic, seconds):
     scores = random_bank(5, queries=40).scores
@@ -325,7 +328,34 @@ def test_oracle_runs_the_cheapest_technique_that_is_right(statistic, seconds):
     assert len({tuple(frame) for frame in ran}) > 1  # one alone is not enough
 
 
-def test_oracle_is_as_right_as_its_choice_allows(bank):
-    trace = run("oracle", bank)
-    assert trace.correct.mean() >= max(run(f"single:T{t}", bank).correct.mean() for t in range(3))
+@pytest.mark.parametrize("seconds", [(1.0, 2.0, 3.0), (3.0, 1.0, 1.0)])
+def test_oracle_of_the_belief_runs_the_cheapest_technique_that_is_right(seconds):
+    scores = random_bank(5, queries=40).scores
+    bank = ScoreBank(scores, ["T0", "T1", "T2"], seconds, tolerance=1, name="route")
+    truth, one = bank.truth.matrix(), np.eye(3, dtype=np.bool_)
+    cheapest_first = sorted(range(3), key=lambda t: (seconds[t], t))
+    env = TechniqueSelectionEnv(bank, statistic="belief")
+    chosen, right_ones = [], []
+    for q in range(bank.queries):
+        right = []
+        for t in cheapest_first:
+            env.reset(seed=0)
+            info = [env.step(one[u])[4] for u in (*chosen, t)][-1]
+            if truth[q, info["prediction"]]:
+                right.append(t)
+        chosen.append((right or cheapest_first)[0])
+        right_ones.append(len(right))
+    trace = run("oracle", bank, "belief")
+    assert trace.ran.tolist() == one[chosen].tolist()
+    assert trace.correct.tolist() == [count > 0 for count in right_ones]
+    assert len(set(chosen)) > 1  # one alone is not enough
+    assert 0 in right_ones  # and sometimes none is right
+
+
+@pytest.mark.parametrize("statistic", STATISTICS)
+def test_oracle_is_as_right_as_its_choice_allows(bank, statistic):
+    trace = run("oracle", bank, statistic)
+    assert trace.correct.mean() >= max(
+        run(f"single:T{t}", bank, statistic).correct.mean() for t in range(3)
+    )
     assert (trace.ran.sum(axis=1) == 1).all()

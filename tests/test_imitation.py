@@ -30,7 +30,7 @@ from agents.network import ROUTE_WIDTH, WIDTH, NetworkConfig, SelectorNetwork
 from agents.run_folder import CHECKPOINT, CONFIG, EVALUATIONS, SELECTOR, read_tensors
 from agents.selector import TrainedSelector, load_selector
 from agents.teachers import ByWeight, agreement, by_weight, partition
-from agents.training import make_model, train
+from agents.training import make_model, train, training_source
 from agents.warm_start import actor_parameters
 from amusic_gym.bank import ScoreBank
 from amusic_gym.metrics import compute
@@ -150,7 +150,15 @@ def test_teachers_of_different_needs_are_refused():
 # ---- DAgger --------------------------------------------------------------------------------
 
 
-def test_a_teacher_is_imitated_on_routes_it_never_saw(tmp_path):
+class Rising(Quick):
+    """Every evaluation is better than the one before, so that the last round is kept."""
+
+    def evaluate(self, selector, timesteps) -> Evaluation:
+        return Evaluation(timesteps, float(timesteps), 0.5, 0.5, 0.5)
+
+
+def test_a_teacher_is_imitated_on_routes_it_never_saw(tmp_path, monkeypatch):
+    monkeypatch.setattr("agents.dagger.HeldOut", Rising)
     config = small(
         n_envs=16,
         compute_weights=WEIGHTS,
@@ -564,9 +572,12 @@ def test_the_teacher_follows_the_choice_and_its_file_brings_it_back(
 
 
 def test_routes_to_choose_on_are_training_routes(choosing):
-    source = SimulatedRoutes(pool=2, seed=1_000_000 + 5)
-    wanted = source.sample(np.random.default_rng(0), 1)[0]
-    np.testing.assert_array_equal(choosing.teacher_routes(5, 2)[1].scores, wanted.scores)
+    config = small(seed=5, pool=3)
+    source, rng = training_source(config), np.random.default_rng(0)
+    chosen = choosing.teacher_routes(config, 2)
+    for number, bank in enumerate(chosen):
+        np.testing.assert_array_equal(bank.scores, source.sample(rng, number)[0].scores)
+    assert len(chosen) == 2
 
 
 # ---- the command ---------------------------------------------------------------------------
@@ -581,7 +592,7 @@ def command(monkeypatch, capsys, choosing):
     settings = ImitationConfig(rounds=2, frames=40, epochs=1)
     defaults = {**SMALL, "imitation": settings}
     monkeypatch.setattr("agents.config.TrainingConfig", lambda **v: TrainingConfig(**defaults | v))
-    monkeypatch.setattr(choosing, "teacher_routes", lambda seed: banks(20, 2))
+    monkeypatch.setattr(choosing, "teacher_routes", lambda config: banks(20, 2))
     monkeypatch.setattr(choosing, "PARTS", 2)
     monkeypatch.setattr(
         choosing.choose_cascades, "__kwdefaults__", {"grid": choosing.GRID[:3], "progress": False}

@@ -169,6 +169,7 @@ def test_an_algorithm_finds_the_one_technique_that_is_worth_its_cost(
         batch_size=batch_size,
         epochs=4,
         learning_rate=learning_rate,
+        statistic="evidence",
         compute_weights=(weight, weight),
         evaluate_every=10**6,
     )
@@ -230,7 +231,11 @@ def test_too_many_subsets_are_refused():
 
 def subset_network() -> SubsetNetwork:
     torch.manual_seed(1)
-    return SubsetNetwork(SetSizes(hidden=16, encoding=8))
+    network = SubsetNetwork(SetSizes(hidden=16, encoding=8))
+    with torch.no_grad():  # ratings that differ, as they do after training
+        network.member.weight.mul_(10.0)
+        network.rating.weight.mul_(10.0)
+    return network
 
 
 @torch.no_grad()
@@ -240,8 +245,9 @@ def test_permuting_the_techniques_permutes_the_subsets():
     member = subsets.members(3).numpy()
     same = [int(np.flatnonzero((member[:, order] == row).all(1))[0]) for row in member]
     ratings = network(seen)
-    torch.testing.assert_close(network(permuted(seen, order)), ratings[:, same])
-    assert ratings.std(dim=1).min() > 0.01
+    moved = network(permuted(seen, order))
+    torch.testing.assert_close(moved, ratings[:, same], rtol=1e-4, atol=1e-4)
+    assert ratings.std(dim=1).min() > 0.1
 
 
 @torch.no_grad()
@@ -250,8 +256,8 @@ def test_absent_members_change_no_rating():
     groups, route = seen[:, :-ROUTE_WIDTH], seen[:, -ROUTE_WIDTH:]
     wider = torch.cat([groups, torch.zeros(4, WIDTH), route], dim=1)
     ratings = network(wider)
-    torch.testing.assert_close(ratings[:, :8], network(seen))
-    torch.testing.assert_close(ratings[:, 8:], network(seen))
+    for half in (ratings[:, :8], ratings[:, 8:]):
+        torch.testing.assert_close(half, network(seen), rtol=1e-4, atol=1e-4)
 
 
 def test_the_selector_runs_the_valid_subset_of_the_highest_rating():

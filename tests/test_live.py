@@ -31,6 +31,7 @@ from live_cases import (
 )
 
 from amusic_gym.bank import PAPER_SECONDS
+from amusic_gym.belief.memory import REACH
 from amusic_gym.env import TechniqueSelectionEnv
 from amusic_gym.live import ImageSequence, LiveRoute, as_frames
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
@@ -216,28 +217,35 @@ def test_a_stream_ends_with_its_last_frame(knows):
         assert_same([first, *steps], wanted[:31])
 
 
-def test_the_memory_of_an_endless_route_is_bounded_but_for_what_ran():
+@pytest.mark.parametrize(
+    ("statistic", "sums", "belief"),
+    [("evidence", 20 + 512, 0), ("belief", 0, 20)],  # numbers per technique, places of each line
+)
+def test_the_memory_of_an_endless_route_is_bounded_but_for_what_ran(statistic, sums, belief):
     images = traverse(40, 2)
 
     class Endless(Stream):
         def read(self, frame):
             return images[frame % 40]
 
-    env = TechniqueSelectionEnv(live_of(maps_of(20), Endless(images)), history=30, reselection=5)
+    live = live_of(maps_of(20), Endless(images))
+    env = TechniqueSelectionEnv(live, statistic=statistic, history=30, reselection=5)
     env.reset(seed=0)
     sizes = {}
     for frame, action in enumerate(random_actions(2, 2200, (4,))):
         env.step(action)
         if frame in (1000, 2199):
-            drive, state = drive_of(env), env.task.episodes.state
+            drive, state, minds = drive_of(env), env.task.episodes.state, env.task.episodes.minds
             sizes[frame] = (
                 [buffer.rows.shape for buffer in drive.buffers],
                 len(drive._images),
                 state.sums.shape,
+                (minds.belief.shape[:2], minds.belief.shape[-1] - REACH, minds.hubs.shape),
                 state.ran.shape,
             )
-    assert sizes[1000] == ([(20 + 10 + 4, 20)] * 3, 6, (2, 1, 3, 20 + 512), (1, 3, 1024))
-    assert sizes[2199] == (*sizes[1000][:3], (1, 3, 4096))
+    minded = ((2, 1), belief, (2, 1, 3, 2, belief))
+    assert sizes[1000] == ([(20 + 10 + 4, 20)] * 3, 6, (2, 1, 3, sums), minded, (1, 3, 1024))
+    assert sizes[2199] == (*sizes[1000][:4], (1, 3, 4096))
     assert env.task.describe(0).startswith("pair frame 2200: place")
 
 

@@ -113,7 +113,7 @@ def lines_of(out: str) -> list[str]:
 
 
 def test_every_frame_is_an_aligned_line_and_the_end_a_summary(navigate):
-    code, out, err = navigate()
+    code, out, err = navigate(tolerance="0")  # exact places: else any within the tolerance is right
     assert (code, err) == (0, "")
     lines = lines_of(out)
     assert [line.split()[:2] for line in lines] == [[str(i), str(i)] for i in range(FRAMES)]
@@ -209,7 +209,7 @@ def test_right_and_wrong_are_told_where_the_truth_is_given(navigate, world, tmp_
 
 
 def test_a_video_is_driven_like_a_folder(navigate, world):
-    code, out, err = navigate(query=f"{world}/run.avi")
+    code, out, err = navigate(query=f"{world}/run.avi", tolerance="0")
     assert (code, err) == (0, "")
     assert [line.split()[1] for line in lines_of(out)] == [str(i) for i in range(FRAMES)]
 
@@ -252,7 +252,8 @@ def test_a_number_is_a_camera(navigate, monkeypatch):
 @pytest.mark.parametrize("suffix", [".mp4", ".avi"])
 def test_the_video_holds_a_picture_of_every_frame(navigate, world, tmp_path, suffix):
     film = tmp_path / f"film{suffix}"
-    code, *_ = navigate("--quiet", video=str(film), **{"ground-truth": f"{world}/truth.npy"})
+    truth = {"ground-truth": f"{world}/truth.npy", "tolerance": "0"}
+    code, *_ = navigate("--quiet", video=str(film), **truth)
     assert code == 0
     source = VideoFile(film)
     pictures = [source.read(i) for i in range(FRAMES)]

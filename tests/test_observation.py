@@ -153,6 +153,8 @@ class Observer:
             squash(route["compute_mean"]),
             route["agreeing"],
             route["steady"],
+            squash(route["said"]),
+            squash(route["said_mean"]),
             squash(route["strange"]),
             math.log10(self.bank.references) / 3 - 1,
         ]
@@ -167,11 +169,11 @@ class BeliefObserver(Observer):
 
     def __init__(self, env: TechniqueSelectionEnv, bank: ScoreBank, weight: float) -> None:
         super().__init__(env, bank, weight)
-        self.minds = env.task.episodes.minds  # tests/test_belief.py holds them right
+        self.episodes = env.task.episodes  # tests/test_belief.py holds their minds right
 
     def run(self, t: int, frame: int) -> None:
         """Remember what a technique's row made of the belief."""
-        known = self.minds.witnesses[0, 0, t]
+        known = self.episodes.minds.witnesses[0, 0, t]
         self.slots[t].update({key: known[key] for key in ("statistic", "margin", "correction")})
         self.slots[t].update(trust=known["trust"], weight=known["weight"], said=known["said"])
         self.slots[t].update(place=known["place"], last=frame)
@@ -180,8 +182,12 @@ class BeliefObserver(Observer):
         """Take in what a step's infos say."""
         super().note(frame, info)
         if info["prediction"] >= 0:
-            mind = self.minds.minds[0, 0]
-            self.route.update(steady=mind["steady"], strange=mind["strange"])
+            mind, known = self.episodes.minds.minds[0, 0], self.route
+            known.update({key: mind[key] for key in ("steady", "strange", "said")})
+            if not info["idle"]:
+                known["said_mean"] += SMOOTHING * (
+                    mind["said"] / info["ran"].sum() - known["said_mean"]
+                )
         for key in ("place", "statistic", "correction"):
             for t in np.flatnonzero(info["ran"]):
                 assert info[key][t] == self.slots[t][key]
@@ -224,11 +230,18 @@ def test_the_belief_has_entries_of_its_own(bank):
     names = observation_names(bank.techniques)
     seen = [env.reset(seed=0)[0], *(env.step([1, 1, 1])[0] for _ in range(40))]
     columns = dict(zip(names, np.transpose(seen), strict=True))
-    for name in ("T0.trust", "T0.weight", "T0.stored", "route.steady", "route.strange"):
+    for name in (
+        "T0.trust",
+        "T0.weight",
+        "T0.stored",
+        "route.steady",
+        "route.said",
+        "route.strange",
+    ):
         assert len(set(columns[name])) > 10, name
     repeated = columns["T0.weight"][22:26]
     assert columns["T0.weight"][1] == 1.0
-    assert max(repeated) < 0.2 < min(columns["T1.weight"][22:26])
+    assert max(repeated) < 0.5 < min(columns["T1.weight"][22:26])
 
 
 def test_a_first_prediction_continues_nothing():

@@ -10,6 +10,7 @@ from amusic_gym.bank import ScoreBank
 from amusic_gym.env import TechniqueSelectionEnv
 from amusic_gym.policy import Context, Localiser, Needs, Selector
 from amusic_gym.rollout import Job, rollout, rollouts
+from amusic_gym.settings import SICSettings
 from amusic_gym.trace import Trace
 from baselines import make_policy
 
@@ -131,9 +132,12 @@ def test_needs_come_before_what_the_user_chose(bank):
     chosen = rollout(Cycle(), bank, name="cycle", statistic="mean")
     assert own.statistic == chosen.statistic == "mean"
     assert_same(own, chosen)
-    assert rollout(Cycle(), bank, name="cycle").statistic == "evidence"
-    few = rollout(Cycle(extra={"candidates": 1}), bank, name="cycle")
-    assert (few.predictions != rollout(Cycle(), bank, name="cycle").predictions).any()
+    assert rollout(Cycle(), bank, name="cycle").statistic == SICSettings.statistic
+    many, few = (
+        rollout(Cycle(statistic="evidence", extra=extra), bank, name="cycle")
+        for extra in ({}, {"candidates": 1})
+    )
+    assert (few.predictions != many.predictions).any()
 
 
 def test_localiser_is_charged_for_the_rows_it_asked_for(bank):

@@ -213,8 +213,10 @@ def test_hubs_and_voids_show_in_the_columns() -> None:
 
 def test_a_condition_shifts_whole_rows_and_columns() -> None:
     queries, references = 400, 300
+    place = np.arange(queries) % references * 1.0
     world = World(
-        place=np.arange(queries) % references * 1.0,
+        place=place,
+        seen=place,
         condition=np.repeat([0, 1], queries // 2),
         competence=np.full((1, 2), 0.5),
         source=np.arange(references),

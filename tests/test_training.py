@@ -15,6 +15,7 @@ from small_training import SMALL
 from stable_baselines3.common.logger import Logger
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from agents import network
 from agents.config import TrainingConfig, stored_banks, stored_config
 from agents.evaluation import COMPUTE_WEIGHTS, Evaluation, HeldOut
 from agents.keeper import Keeper
@@ -22,10 +23,12 @@ from agents.network import NetworkConfig, SelectorNetwork
 from agents.run_folder import CHECKPOINT, EVALUATIONS, SELECTOR, read_config, read_tensors
 from agents.selector import TrainedSelector, load_selector
 from agents.training import make_model, train
+from amusic_gym import observation
 from amusic_gym.bank import ScoreBank
 from amusic_gym.metrics import compute
 from amusic_gym.rollout import Job, rollouts
 from amusic_gym.routes.simulate import planted
+from amusic_gym.settings import SICSettings
 from amusic_gym.sources import SimulatedRoutes
 from amusic_gym.trace import Trace
 
@@ -107,9 +110,9 @@ def test_config_json_holds_arguments_versions_banks_and_the_best(run):
     config = read_config(run)
     assert config["versions"] == {
         "format": 1,
-        "observation": 1,
-        "network": 1,
-        "statistic": "evidence",
+        "observation": observation.VERSION,
+        "network": network.VERSION,
+        "statistic": SICSettings.statistic,
     }
     assert stored_config(run) == small()
     assert stored_banks(run) == [str(run.parent / "bank"), str(run.parent / "b4")]
@@ -194,7 +197,7 @@ def test_train_returns_the_stored_selector(run, bank):
     assert loaded.network.state_dict().keys() == tensors.keys()
     assert json.loads(metadata["network"]) == {"hidden": 64, "encoding": 32, "first_logit": 1.0}
     traces = rollouts(loaded, [Job(bank, 0.1), Job(bank, 10.0)], name="ppo")
-    assert [trace.statistic for trace in traces] == ["evidence", "evidence"]
+    assert [trace.statistic for trace in traces] == [SICSettings.statistic] * 2
 
 
 # ---- evaluation ----------------------------------------------------------------------------

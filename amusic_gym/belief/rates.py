@@ -80,7 +80,7 @@ def share_of(rates: Rates, way: int) -> float:
 @cache
 def stored() -> dict[str, Any]:
     """What ``scripts/fit_belief.py`` wrote."""
-    table: dict[str, Any] = json.loads(files("amusic_gym").joinpath(FILE).read_text("utf-8"))
+    table: dict[str, Any] = json.loads(files("amusic_gym.belief").joinpath(FILE).read_text("utf-8"))
     return table
 
 

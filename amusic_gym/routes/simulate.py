@@ -259,8 +259,8 @@ POPULATION = Simulation(
     map_factor=(1.0, 3.0),
     retimed=0.6,
     techniques=(2, 6),
-    ability=(0.4, 0.95),
-    useless=0.1,
+    ability=(0.35, 0.95),
+    useless=0.25,
     all_fail=0.02,
     exclusive=0.08,
 )
