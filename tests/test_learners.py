@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 import zipfile
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from agents import learners
 from agents.config import TrainingConfig, training_config
 from agents.evaluation import HeldOut
 from agents.learners import ALGORITHMS, KINDS, subsets
-from agents.learners.recurrent import RecurrentNetwork, RecurrentSelector, RecurrentSizes
+from agents.learners.memory import RecurrentNetwork, RecurrentSelector, RecurrentSizes
 from agents.learners.reselect import (
     FIRST_LOGIT,
     HeldSelection,
@@ -188,6 +189,16 @@ def test_unknown_algorithms_and_kinds_are_refused_with_the_nearest():
         learners.kind("subset")
     with pytest.raises(ValueError, match="'imitation' learns from a teacher; call"):
         learners.learner("imitation")
+
+
+@pytest.mark.parametrize("algorithm", ["maskable", "recurrent"])
+def test_a_missing_package_is_named_with_its_command(algorithm, runs, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "sb3_contrib", None)
+    monkeypatch.delitem(sys.modules, ALGORITHMS[algorithm])
+    with pytest.raises(ValueError, match=r'needs sb3-contrib: pip install "amusic-gym\[contrib\]"'):
+        train(tmp_path / "new", small(algorithm), banks=mixed_banks(), progress=False)
+    assert not (tmp_path / "new").exists()
+    assert load_selector(runs[algorithm]).needs.statistic == STATISTIC  # driving does not need it
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)

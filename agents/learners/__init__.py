@@ -38,7 +38,7 @@ ALGORITHMS = {
 KINDS = {
     "selector": "agents.selector",
     "subsets": "agents.learners.subsets",
-    "recurrent": "agents.learners.recurrent",
+    "recurrent": "agents.learners.memory",
     "reselect": "agents.learners.reselect",
 }
 """Name in the weights' file → module with its ``KIND``; without a name it is the first."""
@@ -82,11 +82,20 @@ def learner(algorithm: str) -> Learner:
     """The learner of an algorithm.
 
     Raises:
-        ValueError: for an unknown one, or one that does not learn from rewards.
+        ValueError: for an unknown one, one that does not learn from rewards, or one whose package
+            is not installed.
     """
     if algorithm not in ALGORITHMS:
         raise ValueError(suggest("algorithm", algorithm, ALGORITHMS))
-    found: Learner | None = getattr(import_module(ALGORITHMS[algorithm]), "LEARNER", None)
+    try:
+        module = import_module(ALGORITHMS[algorithm])
+    except ModuleNotFoundError as error:
+        if error.name != "sb3_contrib":
+            raise
+        raise ValueError(
+            f'algorithm {algorithm!r} needs sb3-contrib: pip install "amusic-gym[contrib]"'
+        ) from error
+    found: Learner | None = getattr(module, "LEARNER", None)
     if found is None:
         raise ValueError(
             f"algorithm {algorithm!r} learns from a teacher; call agents.imitation.imitate"
