@@ -110,6 +110,42 @@ def test_filter_is_the_loops_when_driven_off_the_map():
         compare(bank, np.ones((30, 3), bool))
 
 
+@pytest.mark.parametrize("lying", [False, True])
+def test_filter_is_the_loops_where_trust_meets_its_limits(lying):
+    """One technique that is always right, and one that always points elsewhere, by eager rates."""
+    places = np.arange(60)
+    scores = np.array(planted(places, 70, strengths=(9.0, 9.0)).scores)
+    if lying:
+        scores[1] = scores[1][:, ::-1]
+    truth = {"tolerance": 2, "ground_truth": places}
+    bank = ScoreBank(scores, ["A", "B"], [1.0, 1.0], **truth)
+    rates = belief.fitted()._replace(
+        trust=0.5, trust_count=0.5, trust_memory=2.0, sharpness=2.0, novel=0.01, contrast=0.0
+    )
+    with shipped_with(rates):
+        compare(bank, np.ones((60, 2), bool))
+        env = TechniqueSelectionEnv(bank, statistic="belief")
+    trusts = []
+    env.reset(seed=0)
+    for _ in places:
+        env.step([1, 1])
+        trusts.append(env.task.episodes.minds.witnesses[0, 0]["trust"].copy())
+    assert np.max(trusts) == 0.99
+    assert (np.min(trusts) == 0.01) == lying
+
+
+def test_filter_is_the_loops_where_places_hardly_vary():
+    """A camera at one spot: each place's score is nearly the same on every frame."""
+    rng = np.random.default_rng(2)
+    scores = rng.normal(size=(2, 1, 20)) + rng.normal(0.0, 0.05, (2, 40, 20))
+    bank = ScoreBank(
+        scores, ["A", "B"], [1.0, 1.0], tolerance=1, ground_truth=np.zeros(40, np.int64)
+    )
+    rates = belief.fitted()._replace(hub_spread=1.0, hub_count=0.5, hub=0.5)
+    with shipped_with(rates):
+        compare(bank, np.ones((40, 2), bool))
+
+
 # ---- what must hold ----------------------------------------------------------------------
 
 

@@ -30,8 +30,11 @@ from agents.keeper import Keeper
 from agents.run_folder import CHECKPOINT, EVALUATIONS, SELECTOR, read_tensors
 from agents.selector import load_selector
 from agents.training import train
+from amusic_gym.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
 from amusic_gym.rollout import rollout
+from amusic_gym.settings import SICSettings
 
+INPUTS = len(TECHNIQUE_FEATURES) + len(ROUTE_FEATURES)  # of the network's first layer
 PICKLE_STARTS = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05", b"PK\x03\x04")
 
 
@@ -163,9 +166,12 @@ def change(run: Path, name: str, changes: dict[str, torch.Tensor | None]) -> Non
 @pytest.mark.parametrize(
     ("tensor", "sentence"),
     [
-        (torch.zeros(64, 26), r"'encoder.0.weight' is \(64, 26\) float32, .* needs \(64, 27\)"),
-        (torch.zeros(64, 27).double(), "'encoder.0.weight' is .* float64, .* float32"),
-        (torch.full((64, 27), np.nan), "'encoder.0.weight' holds NaN"),
+        (
+            torch.zeros(64, INPUTS - 1),
+            rf"'encoder.0.weight' is \(64, {INPUTS - 1}\) float32, .* needs \(64, {INPUTS}\)",
+        ),
+        (torch.zeros(64, INPUTS).double(), "'encoder.0.weight' is .* float64, .* float32"),
+        (torch.full((64, INPUTS), np.nan), "'encoder.0.weight' holds NaN"),
         (None, "'encoder.0.weight' is none"),
     ],
 )
@@ -347,7 +353,7 @@ def test_38_a_selector_drives_techniques_of_other_names_and_number(trained, name
     trace = rollout(load_selector(trained), other, name="ppo", compute_weight=0.3)
     assert trace.techniques == tuple(names)
     assert trace.ran.shape == (15, len(names))
-    assert trace.statistic == "evidence"
+    assert trace.statistic == SICSettings.statistic
 
 
 def edit(run: Path, **changes: object) -> None:
@@ -359,11 +365,14 @@ def edit(run: Path, **changes: object) -> None:
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"observation": 0}, "trained with observation version 0, this program has 1; train"),
+        ({"observation": 1}, "trained with observation version 1, this program has 2; train"),
         ({"network": 2}, "trained with network version 2, this program has 1; train"),
         ({"format": None}, "trained with format version None, this program has 1; train"),
-        ({"statistic": "sum"}, "the statistic 'sum', this program has mean and evidence; train"),
-        ({"statistic": None}, "the statistic None, this program has mean and evidence"),
+        (
+            {"statistic": "sum"},
+            "the statistic 'sum', this program has mean and evidence and belief; train",
+        ),
+        ({"statistic": None}, "the statistic None, this program has mean and evidence and belief"),
     ],
 )
 def test_38_another_version_or_statistic_is_refused_naming_both(copy, command, changes, sentence):

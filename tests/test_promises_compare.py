@@ -15,6 +15,8 @@ from typing import NamedTuple
 import pytest
 from env_cases import random_bank
 
+from amusic_gym.settings import SICSettings
+
 ROOT = Path(__file__).resolve().parent.parent
 
 # A process that sends itself a signal after so many lines; a shell may have started these tests
@@ -202,7 +204,7 @@ def test_38_learned_selector_has_a_row_per_compute_weight_and_keeps_its_statisti
     assert found == [
         (policy, 0.1, "evidence"),
         (policy, 2.0, "evidence"),
-        ("music", None, "evidence"),
+        ("music", None, SICSettings.statistic),
     ]
     more = run("compare.py", *arguments, "--compute-weight", 2, 4)
     assert more.stdout.count("(was finished)") == 2
@@ -217,7 +219,7 @@ def test_correctness_reports_every_technique(run, tmp_path, banks):
     done = run("correctness.py", "--bank", *banks, "--out", tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     report = json.loads((tmp_path / "correctness.json").read_text("utf-8"))
-    assert report["statistic"] == "evidence"
+    assert report["statistic"] == SICSettings.statistic
     assert [(part["bank"], part["technique"]) for part in report["techniques"]] == [
         (bank, f"T{t}") for bank in ("first", "second") for t in range(3)
     ]
