@@ -13,6 +13,7 @@ from agents.network import NetworkConfig
 from agents.run_folder import CONFIG, read_config, versions
 from amusic_gym import __version__
 from amusic_gym.names import suggest
+from amusic_gym.rewards import REWARDS
 from amusic_gym.settings import SICSettings
 
 HIGHEST_SEED = 1_000_000_000
@@ -81,6 +82,8 @@ class TrainingConfig:
         seed: of routes, weights and draws.
         n_envs: routes side by side.
         statistic: SIC's statistic.
+        reward: name in `amusic_gym.rewards.REWARDS`; ``"ground_truth"`` learns from what is true on
+            the training routes instead of from p̂, which a selector may learn to please.
         compute_weights: range from which every episode draws λ, on a logarithmic scale.
         pool: simulated training routes that are drawn from again and again.
         n_steps: frames per route between two updates.
@@ -106,6 +109,7 @@ class TrainingConfig:
     seed: int = 0
     n_envs: int = 64
     statistic: str = SICSettings.statistic
+    reward: str = "estimated"
     compute_weights: tuple[float, float] = (0.03, 3.0)
     pool: int = 256
     n_steps: int = 64
@@ -126,6 +130,8 @@ class TrainingConfig:
         """Refuse what no training can use."""
         if self.algorithm not in ALGORITHMS:
             raise ValueError(suggest("algorithm", self.algorithm, ALGORITHMS))
+        if self.reward not in REWARDS:
+            raise ValueError(suggest("reward", self.reward, REWARDS))
         for name, least in _LEAST.items():
             _whole(name, getattr(self, name), least)
         if self.n_envs > MOST_ROUTES:

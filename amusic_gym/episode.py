@@ -270,12 +270,11 @@ class Episodes:
             self.minds,
             self.stepped & actions[:, -1] & (frames >= 0),
             self.stepped & live,
-            frames,
+            state.routes,
+            state.slots,
             self.rules.block,
             state.runs,
             state.ran,
-            state.slots["present"],
-            state.routes["tolerance"],
             state.late,
             state.statistics,
             state.corrections,
@@ -285,8 +284,7 @@ class Episodes:
         """Let the belief hear what runs on the next frame."""
         if self.rules.belief:
             state = self.state
-            frames, tolerances = state.routes["frame"], state.routes["tolerance"]
-            belief.hear_routes(self.minds, self.stepped, frames, state.runs, state.ran, tolerances)
+            belief.hear_routes(self.minds, self.stepped, state.routes, state.runs, state.ran)
 
     def _look_ahead(self, live: Sequence[int]) -> None:
         """Read the images of the next frame; routes whose source has ended take no step."""

@@ -60,6 +60,8 @@ class Material:
     Route i begins at query i, so that the routes of a batch read different rows.
     """
 
+    SETTLED = 20  # frames with a true place after which it must be found
+
     def __init__(self, sizes: Sizes, seed: int = 0) -> None:
         """Draw the scores and standardise and rank them in NumPy."""
         self.sizes = sizes
@@ -79,11 +81,10 @@ class Material:
         self.z = [reference.standardised(rows) for rows in self.bank.scores]
         self.top = [reference.ranked(rows, sizes.candidates) for rows in self.bank.scores]
 
-    @property
-    def env_arguments(self) -> dict[str, Any]:
+    def env_arguments(self, statistic: str = "evidence") -> dict[str, Any]:
         """Arguments of every environment measured."""
         settings = {"candidates": self.sizes.candidates, "history": self.sizes.history}
-        return {"bank": self.bank, "statistic": "evidence", **settings}
+        return {"bank": self.bank, "statistic": statistic, **settings}
 
     @cached_property
     def everything(self) -> Any:
@@ -106,6 +107,17 @@ class Material:
             for name in ("prediction", "technique", "confidence") if infos else ():
                 got = np.atleast_1d(infos[name])[i]  # type: ignore[index]
                 same(f"{name} of route {i} at frame {frame}", got, getattr(want, name), 1e-9)
+
+    def check_places(self, frame: int, infos: dict[str, Any]) -> None:
+        """Compare a frame's predictions with the true places, where there are any.
+
+        Whatever the statistic: two deviations above the noise in every technique, and steady.
+        """
+        for i, place in enumerate(np.atleast_1d(infos["prediction"])):
+            true = i + frame - self.sizes.routes
+            if self.SETTLED <= true < self.sizes.places:
+                off = float(abs(place - true))
+                same(f"error of route {i} at frame {frame}", min(off, TOLERANCE), off, 0.0)
 
     def checked_frames(self) -> set[int]:
         """Frames that are compared: the first ones, one inside and the last."""

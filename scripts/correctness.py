@@ -1,4 +1,4 @@
-"""Measure SIC-estimated correctness against ground truth, every technique run singly.
+"""Measure estimated correctness against ground truth, every technique run singly.
 
 Writes correctness.json and the reliability diagram reliability.png.
 """
@@ -39,7 +39,7 @@ def _parser() -> Parser:
         "--statistic",
         choices=STATISTICS,
         default=SICSettings.statistic,
-        help="of SIC (default: %(default)s)",
+        help="that places are found by (default: %(default)s)",
     )
     return parser
 

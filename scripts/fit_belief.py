@@ -64,6 +64,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Parse, simulate, search, write."""
     parser = Parser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--routes", type=int, default=120, help="simulated routes (120)")
+    parser.add_argument("--held-out", type=int, default=60, help="and others to judge by (60)")
     parser.add_argument("--generations", type=int, default=120, help="of the search (120)")
     parser.add_argument("--seed", type=int, default=30, help="of the routes (30)")
     parser.add_argument("--threads", type=int, default=2, help="(2)")
@@ -72,7 +73,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=default, help="the package's file")
     given = parser.parse_args(arguments)
     start = _stored(given.start) if given.start else fitted()
-    routes, held_out = drives(given.seed, given.routes), drives(HELD_OUT_SEED, 60)
+    routes, held_out = drives(given.seed, given.routes), drives(HELD_OUT_SEED, given.held_out)
     found = search(start, routes, given.generations, given.seed, given.threads)
     rates = Rates(*(float(f"{value:.4g}") for value in found))
     with ThreadPoolExecutor(given.threads) as pool:

@@ -16,12 +16,12 @@ from _cli import Parser, run
 from numpy.typing import NDArray
 
 from amusic_gym.bank import ScoreBank
-from amusic_gym.env import TechniqueSelectionEnv
 from amusic_gym.importers import from_recording
 from amusic_gym.plots.drawing import GREY, INK, figure_at
 from amusic_gym.routes.simulate import MOTIONS, Simulation
 from amusic_gym.routes.statistics import MEASURES, describe
 from amusic_gym.settings import STATISTICS
+from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 ROUTES, SEED = 60, 1000
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -43,12 +43,12 @@ def recordings(paths: Sequence[Path]) -> list[ScoreBank]:
 
 
 def corrected(bank: ScoreBank, statistic: str) -> NDArray[np.int64]:
-    """SIC's place of each technique (T, Q) when all techniques run on all frames."""
-    env = TechniqueSelectionEnv(bank=bank, statistic=statistic)
+    """Predictions of each technique (T, Q) when it alone runs, on all frames."""
+    alone = np.eye(len(bank.techniques), dtype=np.int8)  # a route each
+    env = TechniqueSelectionVectorEnv(len(alone), bank, statistic=statistic)
     env.reset(seed=0)
-    everything = np.ones(len(bank.techniques), np.int8)
-    infos = [env.step(everything)[-1] for _ in range(bank.queries)]
-    places: NDArray[np.int64] = np.stack([info["place"] for info in infos], axis=1)
+    infos = [env.step(alone)[-1] for _ in range(bank.queries)]
+    places: NDArray[np.int64] = np.stack([info["prediction"] for info in infos], axis=1)
     return places
 
 

@@ -66,6 +66,7 @@ def _parser() -> Parser:
     add("--seed", type=int, help=f"of routes, weights and draws (default: {defaults.seed})")
     add("--n-envs", type=int, help=f"routes side by side (default: {defaults.n_envs})")
     add("--statistic", help=f"of SIC (default: {defaults.statistic})")
+    add("--reward", help=f"estimated or ground_truth (default: {defaults.reward})")
     add("--warm-start", type=Path, metavar="RUN", help="let ppo begin from this run's selector")
     add(
         "--resume",
@@ -79,7 +80,7 @@ def _config(given: argparse.Namespace) -> TrainingConfig:
     """The defaults, or the configuration of the run to resume, with what was given."""
     from agents.config import WARM_START, training_config
 
-    names = ("algorithm", "timesteps", "seed", "n_envs", "statistic")
+    names = ("algorithm", "timesteps", "seed", "n_envs", "statistic", "reward")
     chosen = {name: getattr(given, name) for name in names if getattr(given, name) is not None}
     algorithm = chosen.get("algorithm", "ppo")
     if given.warm_start and (given.resume or algorithm != "ppo"):

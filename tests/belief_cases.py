@@ -1,4 +1,4 @@
-"""What the tests of the belief share: rates, planted routes, comparisons with the explicit loops."""
+"""What the tests of the belief share: rates, planted routes, comparisons with the loops."""
 
 from __future__ import annotations
 
@@ -54,8 +54,11 @@ def drawn_rates(rng: np.random.Generator) -> Rates:
 
 @contextlib.contextmanager
 def shipped_with(rates: Rates) -> Iterator[None]:
-    """Environments that are made meanwhile take these rates for the fitted ones."""
-    with mock.patch.object(belief, "fitted", lambda: rates):
+    """Environments made and reset meanwhile take these rates for the fitted ones.
+
+    Both, because a reset that needs more room asks for the rates again.
+    """
+    with mock.patch.object(belief, "fitted", return_value=rates):
         yield
 
 
@@ -133,7 +136,7 @@ def assert_frame(env: TechniqueSelectionEnv, info: dict, step: oracle_belief.Ste
     statistics = {}
     for t, own in enumerate(frame.own):
         if own is None:
-            assert not (info["place"][t] or info["statistic"][t] or info["correction"][t])
+            assert [info[key][t] for key in ("place", "statistic", "correction")] == [0, 0, 0]
         else:
             assert_own(info, witnesses[t], t, own)
             statistics[t] = own.statistic

@@ -71,7 +71,7 @@ class Frame:
     said: float
     heard: int
     places: Floats
-    own: list[Own | None] = field(default_factory=list)
+    own: list[Any] = field(default_factory=list)  # an Own of each technique that ran, else None
 
 
 def log(share: float) -> float:
@@ -110,7 +110,8 @@ def clip_place(place: int, size: int) -> int:
 def z_scores(row: Floats) -> Floats:
     if row.min() == row.max():
         return np.zeros_like(row)
-    return (row - row.mean()) / row.std()
+    z: Floats = (row - row.mean()) / row.std()
+    return z
 
 
 def novelty_of(row: Floats, before: Floats) -> float:
@@ -159,14 +160,14 @@ def likelihoods(rates: Rates, known: Technique, values: Floats, prior: Floats) -
         logs.append(rates.sharpness * known.weight * bent)
     soft = [(1.0 + max(x - max(logs), -60.0) / 1024.0) ** 1024 for x in logs]  # exp, nearly
     informative = np.array(soft) / np.mean(soft)
-    mixed = 1.0 - known.trust + known.trust * informative
+    likely: Floats = 1.0 - known.trust + known.trust * informative
     fit = float(prior @ informative)
     right = known.trust * fit / (1.0 - known.trust + known.trust * fit)
     weight = float(prior @ prior) * known.weight
     learned = (known.trusted * known.trust + weight * right) / (known.trusted + weight)
     known.trust = clamp(learned, 0.01, 0.99)
     known.trusted = min(known.trusted + weight, rates.trust_memory)
-    return mixed
+    return likely
 
 
 # ---- places ------------------------------------------------------------------------------
@@ -236,7 +237,7 @@ def mixed(rates: Rates, lines: dict[Any, Floats]) -> dict[Any, Floats]:
     """Speeds change, looks drift as in Ehrenfest's urns, steady motion ends and begins."""
     fast = sum(lines[way] for way in SPEEDS)
     even = sum(lines[way] for way in WAYS if way not in SPEEDS)
-    out = {}
+    out: dict[Any, Floats] = {}
     for speed, often in SPEEDS.items():
         changed = (1 - rates.change) * lines[speed] + rates.change * often * fast
         out[speed] = (1 - rates.settle) * changed + rates.leave * often * even
@@ -338,7 +339,9 @@ class Belief:
         return out
 
     def _weigh(self, rows: Sequence[Row], values: Sequence[Any], strange: float) -> Frame:
-        looks, own, factors = self._looks(), [], {}
+        looks = self._looks()
+        own: list[Any] = []
+        factors: dict[int, Floats] = {}
         for t, (known, row) in enumerate(zip(self.known, rows, strict=True)):
             own.append(None)
             if row is not None:
@@ -402,7 +405,9 @@ class Settings:
     allow_idle: bool = False
 
 
-def heard(scores: Any, ran: Sequence[Sequence[bool]], chosen: Settings) -> tuple[Belief, list]:
+def heard(
+    scores: Any, ran: Sequence[Sequence[bool]], chosen: Settings
+) -> tuple[Belief, list[Frame]]:
     """The belief after the frames of `ran`, from scratch, and what each came to."""
     belief = Belief(chosen.rates, len(scores), scores.shape[2], chosen.tolerance)
     return belief, [belief.hear(rows_of(scores, q, row)) for q, row in enumerate(ran)]
@@ -422,13 +427,13 @@ def select(scores: Any, ran: list[list[bool]], chosen: Settings) -> tuple[Belief
     tally, corrections = [0] * len(scores), []
     for frame in frames[first:]:
         statistics = [own.statistic for own in frame.own]
-        tally[oracle_first(statistics)] += 1
+        tally[first_best(statistics)] += 1
         corrections.append([own.correction for own in frame.own])
     selected = oracle.coverage(tally, len(ran) - first, chosen.coverage)
     return belief, Selection(tally, selected, late, corrections)
 
 
-def oracle_first(statistics: Sequence[float]) -> int:
+def first_best(statistics: Sequence[float]) -> int:
     best = max(statistics)
     return next(t for t, value in enumerate(statistics) if value >= best - 1e-9 * (1 + abs(best)))
 

@@ -34,6 +34,7 @@ def compare(bank: ScoreBank, ran, start: int = 0, allow_idle: bool = True) -> No
     chosen = settings_of(env, bank, allow_idle=allow_idle)
     steps = oracle_belief.drive(bank.scores[:, start:], ran, chosen)
     env.reset(seed=0, options={"start": start})
+    assert env.task.episodes.minds.rates == chosen.rates
     for action, step in zip(ran, steps, strict=True):
         assert_frame(env, env.step(action)[4], step)
 
@@ -125,8 +126,8 @@ def test_filter_is_the_loops_where_trust_meets_its_limits(lying):
     with shipped_with(rates):
         compare(bank, np.ones((60, 2), bool))
         env = TechniqueSelectionEnv(bank, statistic="belief")
+        env.reset(seed=0)
     trusts = []
-    env.reset(seed=0)
     for _ in places:
         env.step([1, 1])
         trusts.append(env.task.episodes.minds.witnesses[0, 0]["trust"].copy())
@@ -154,9 +155,11 @@ def test_filter_is_the_loops_where_places_hardly_vary():
 def test_the_belief_is_a_distribution_after_every_frame(seed, activity):
     rng = np.random.default_rng(seed)
     bank = noisy_bank(rng, 3, 60, int(rng.integers(1, 40)))
-    with shipped_with(drawn_rates(rng)):
+    rates = drawn_rates(rng)
+    with shipped_with(rates):
         env = TechniqueSelectionEnv(bank, statistic="belief", allow_idle=True)
-    env.reset(seed=0)
+        env.reset(seed=0)
+    assert env.task.episodes.minds.rates == rates
     for action in rng.random((60, 3)) < activity:
         observation = env.step(action)[0]
         assert (belief_of(env) >= 0.0).all()

@@ -1,4 +1,4 @@
-"""The belief inside the environments: re-selection, batches, live routes, copies, memory, errors."""
+"""The belief in the environments: re-selection, batches, live routes, copies, memory, errors."""
 
 from __future__ import annotations
 
@@ -56,6 +56,7 @@ def compare(bank: ScoreBank, actions, block: int, coverage: float) -> int:
     chosen = settings_of(env, bank, block=block, coverage=coverage, allow_idle=True)
     steps = oracle_belief.drive(bank.scores, actions, chosen)
     env.reset(seed=0)
+    assert env.task.episodes.minds.rates == chosen.rates
     for action, step in zip(actions, steps, strict=True):
         info = env.step(action)[4]
         assert_frame(env, info, step)
@@ -342,9 +343,10 @@ def test_wrong_scores_of_what_never_runs_do_no_harm_and_a_reset_forgets_an_error
     wanted = play(whole, actions)
     assert_same(play(env, actions), wanted)
     env.reset(seed=0)
+    for _ in range(3):
+        env.step([1, 1, 1, 0])
     with pytest.raises(ValueError, match=WORDS):
-        for _ in range(4):
-            env.step([1, 1, 1, 0])
+        env.step([1, 1, 1, 0])
     assert_same(play(env, actions), wanted)
 
 

@@ -23,6 +23,11 @@ KEYS = {
     "cohog_match_share_of_limit",
     "live_hog_frames_per_second",
     "live_overhead_ms",
+    "default_vector_env_vs_cartpole_vector",
+    "default_single_env_vs_cartpole",
+    "default_step_ms",
+    "default_step_vs_evidence",
+    "default_live_overhead_ms",
 }
 
 

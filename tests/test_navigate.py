@@ -307,7 +307,6 @@ def test_32_without_pygame_the_refusal_names_the_command(navigate, monkeypatch):
         ({"query": "63"}, "camera 63 gives no picture"),
         ({"policy": "amusik"}, "unknown policy 'amusik': did you mean 'amusic'"),
         ({"policy": "subset:HGO"}, "unknown technique 'HGO': did you mean 'HOG'"),
-        ({"policy": "ppo"}, "no selector ships yet: train one with scripts/train.py"),
         ({"policy": "ppo:no/run"}, "no/run"),
         ({"policy": "oracle"}, "live route 'run'.*runs on a score bank only"),
         ({"techniques": "hgo"}, "unknown technique 'hgo': did you mean 'hog'"),

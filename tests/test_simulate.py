@@ -13,6 +13,7 @@ from amusic_gym.routes.descriptors import BLOCK, smooth, write_scores
 from amusic_gym.routes.simulate import Simulation, planted, simulate
 from amusic_gym.routes.statistics import MEASURES, describe
 from amusic_gym.routes.world import World, no_repeats, repeated_places
+from amusic_gym.settings import STATISTICS
 
 # Everything that could blur what a test looks at, off.
 PLAIN = Simulation(
@@ -301,11 +302,11 @@ def test_no_repeats_uses_all_kinds_first(length: int, kinds: int) -> None:
 def test_every_measure_is_finite_on_a_simulated_route() -> None:
     bank = simulate(2, queries=60)
     places = centres(bank)
-    measured = describe(bank, 1, {"mean": places, "evidence": places})
+    measured = describe(bank, 1, dict.fromkeys(STATISTICS, places))
     assert set(measured) == set(MEASURES) | {"run_mean"}
     assert all(math.isfinite(value) for value in measured.values())
-    assert measured["accuracy_mean"] == 1.0
-    assert measured["run_evidence"] == 0.0
+    assert measured["accuracy_mean"] == measured["accuracy_belief"] == 1.0
+    assert measured["run_evidence"] == measured["run_belief"] == 0.0
 
 
 @pytest.mark.parametrize(

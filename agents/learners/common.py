@@ -32,6 +32,7 @@ def make_env(
         source,
         slots=source.slots,
         statistic=config.statistic,
+        reward=config.reward,
         compute_weight=config.compute_weights,
         reselection=reselection,
         autoreset_mode="SameStep",

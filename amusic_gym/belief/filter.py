@@ -130,27 +130,27 @@ def hear(minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any, tole
     """Prepare the rows of a frame and take them into the belief of route ``i``."""
     for s in range(ran.shape[0]):
         if ran[s, frame]:
+            last = minds.witnesses[which, i, s].last
+            if last >= 0:
+                prepare(runs[s], last)  # an unpickled bank has forgotten what it knew of its rows
             prepare(runs[s], frame)
     filter_frame(minds, which, i, frame, runs, ran, tolerance)
 
 
 @kernel
-def hear_routes(
-    minds: Minds, active: Any, frames: Any, runs: Any, ran: Any, tolerances: Any
-) -> None:
+def hear_routes(minds: Minds, active: Any, routes: Any, runs: Any, ran: Any) -> None:
     """Take the next frame of every active route into its belief.
 
     Args:
         minds: the batch's memory.
         active: (N,) bool.
-        frames: (N,) int64, last frame processed.
+        routes: (N,) ROUTE records: the last frame processed, and the tolerance.
         runs: (N, S) RUN records.
         ran: (N, S, Q) uint8, filled in for the next frame.
-        tolerances: (N,) int64.
     """
     for i in range(active.size):
         if active[i]:
-            hear(minds, 0, i, frames[i] + 1, runs[i], ran[i], tolerances[i])
+            hear(minds, 0, i, routes[i].frame + 1, runs[i], ran[i], routes[i].tolerance)
 
 
 @kernel
@@ -158,12 +158,11 @@ def look_back(
     minds: Minds,
     wanted: Any,
     lagging: Any,
-    frames: Any,
+    routes: Any,
+    slots: Any,
     block: int,
     runs: Any,
     ran: Any,
-    present: Any,
-    tolerances: Any,
     late: Any,
     statistics: Any,
     corrections: Any,
@@ -177,33 +176,34 @@ def look_back(
         minds: the batch's memory, of two sets.
         wanted: (N,) bool.
         lagging: (N,) bool, routes whose lagged belief cannot wait, because their rows go.
-        frames: (N,) int64, last frame processed.
+        routes: (N,) ROUTE records: the last frame processed, and the tolerance.
+        slots: (N, S) SLOT records: whether a technique is present.
         block: M.
         runs: (N, S) RUN records.
         ran: (N, S, Q) uint8, changed.
-        present: (N, S) uint8.
-        tolerances: (N,) int64.
         late: (N, S) int64, filled with the runs after the fact.
         statistics: (N, M, S) filled with every technique's statistic on the frames of the block.
         corrections: (N, S, M) likewise with the corrections.
     """
     for i in range(wanted.size):
-        stop = frames[i] + 1
+        stop, tolerance = routes[i].frame + 1, routes[i].tolerance
         first = max(0, stop - block)
         if wanted[i] or lagging[i]:
             for frame in range(minds.minds[1, i].frame + 1, first):
-                hear(minds, 1, i, frame, runs[i], ran[i], tolerances[i])
+                hear(minds, 1, i, frame, runs[i], ran[i], tolerance)
         if not wanted[i]:
             continue
         for s in range(ran.shape[1]):
             for frame in range(first, stop):
-                if present[i, s] and not ran[i, s, frame]:
+                if slots[i, s].present and not ran[i, s, frame]:
                     late[i, s] += 1
                     ran[i, s, frame] = 1
         copy_mind(minds, 1, 0, i)
         for frame in range(first, stop):
-            hear(minds, 0, i, frame, runs[i], ran[i], tolerances[i])
+            hear(minds, 0, i, frame, runs[i], ran[i], tolerance)
             for s in range(ran.shape[1]):
                 known = minds.witnesses[0, i, s]
-                statistics[i, frame - first, s] = known.statistic if present[i, s] else -math.inf
+                statistics[i, frame - first, s] = (
+                    known.statistic if slots[i, s].present else -math.inf
+                )
                 corrections[i, s, frame - first] = known.correction

@@ -20,9 +20,11 @@ MEASURES: dict[str, str] = {
     "accuracy_raw": "top-1 accuracy before SIC",
     "accuracy_mean": "top-1 accuracy after SIC, mean",
     "accuracy_evidence": "top-1 accuracy after SIC, evidence",
+    "accuracy_belief": "top-1 accuracy of the belief, fed by it alone",
     "run_raw": "wrong frames in a row before SIC, mean length",
     "run_longest": "wrong frames in a row before SIC, longest as a share of the route",
     "run_evidence": "wrong frames in a row after SIC, evidence, mean length",
+    "run_belief": "wrong frames in a row of the belief, mean length",
     "true_z_memory": "correlation of the true place's z from frame to frame",
     "along_query": "correlation of wrong places' z with the next frame's, same place",
     "along_map": "correlation of wrong places' z with the next place's, same frame",
@@ -40,7 +42,7 @@ def describe(
     Args:
         bank: the route.
         technique: index t.
-        predictions: places (Q,) after correction, by statistic: 'mean', 'evidence'.
+        predictions: places (Q,) where the technique alone runs, by statistic.
     """
     scores = bank.scores[technique].astype(np.float64)  # (Q, R)
     z = _standardised(scores)

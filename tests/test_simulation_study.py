@@ -1,0 +1,47 @@
+"""What the comparison of simulated routes with recordings measures."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from env_cases import random_bank
+
+from amusic_gym.policy import Context
+from amusic_gym.rollout import rollout
+from amusic_gym.settings import STATISTICS, SICSettings
+from amusic_gym.sic import SIC
+from baselines import make_policy
+
+SCRIPTS = Path(__file__).parent.parent / "scripts"
+
+
+@pytest.fixture
+def study(monkeypatch):
+    """``scripts/simulation_study.py``, imported."""
+    monkeypatch.syspath_prepend(SCRIPTS)
+    return importlib.import_module("simulation_study")
+
+
+@pytest.mark.parametrize("statistic", STATISTICS)
+def test_places_are_those_of_each_technique_by_itself(study, statistic):
+    bank = random_bank(3, queries=30)
+    places = study.corrected(bank, statistic)
+    assert places.shape == (3, 30)
+    for t, name in enumerate(bank.techniques):
+        policy = make_policy(f"single:{name}", Context.of(bank, statistic=statistic))
+        trace = rollout(policy, bank, name=name, statistic=statistic)
+        assert places[t].tolist() == trace.predictions.tolist()
+        if statistic != "belief":
+            sic = SIC(bank.references, SICSettings(statistic))
+            assert places[t].tolist() == [sic.correct(row).place for row in bank.scores[t]]
+
+
+def test_every_technique_has_a_line_of_every_measure(study):
+    rows = study.measure([random_bank(3, queries=30), random_bank(4, techniques=2)])
+    assert list(rows) == ["bank3 T0", "bank3 T1", "bank3 T2", "bank4 T0", "bank4 T1"]
+    for row in rows.values():
+        assert set(study.MEASURES) <= row.keys()
+        assert np.isfinite([row[f"accuracy_{statistic}"] for statistic in STATISTICS]).all()
