@@ -1,7 +1,8 @@
 """Compare policies on score banks: a table, results.json, traces and figures.
 
 POLICY: amusic (the paper's), amusic:evidence, music, raw:NAME, single:NAME, subset:A+B, random:P,
-cascade, oracle, ppo:RUN (a folder that train.py wrote). Rows that are finished in DIR already are
+cascade[:CHEAP/HOLD/THRESHOLD], oracle, ppo (the selector that ships), ppo:RUN (a folder that
+train.py wrote), mpf[:R], hmpf, dynmpf[:R], plurality, borda[:DEPTH], hmm[:BETA/JUMP], switchhit[:TAU]. Rows that are finished in DIR already are
 not run again.
 """
 
