@@ -2,8 +2,8 @@
 
 POLICY: amusic (the paper's), amusic:evidence, music, raw:NAME, single:NAME, subset:A+B, random:P,
 cascade[:CHEAP/HOLD/THRESHOLD], oracle, ppo (the selector that ships), ppo:RUN (a folder that
-train.py wrote), mpf[:R], hmpf, dynmpf[:R], plurality, borda[:DEPTH], hmm[:BETA/JUMP], switchhit[:TAU]. Rows that are finished in DIR already are
-not run again.
+train.py wrote), mpf[:R], hmpf, dynmpf[:R], plurality, borda[:DEPTH], hmm[:BETA/JUMP],
+switchhit[:TAU]. Rows that are finished in DIR already are not run again.
 """
 
 from __future__ import annotations
