@@ -111,7 +111,8 @@ class Material:
     def check_places(self, frame: int, infos: dict[str, Any]) -> None:
         """Compare a frame's predictions with the true places, where there are any.
 
-        Whatever the statistic: two deviations above the noise in every technique, and steady.
+        For a statistic that sees more than K candidates: the true place, two deviations above the
+        noise in every technique, is sometimes not among them.
         """
         for i, place in enumerate(np.atleast_1d(infos["prediction"])):
             true = i + frame - self.sizes.routes

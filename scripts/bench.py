@@ -148,9 +148,10 @@ def _play_checked(env: Any, material: Material, action: Any, options: dict[str, 
     for frame in range(material.sizes.frames):
         _, rewards, _, _, infos = env.step(action)
         if frame in material.checked_frames():
-            material.check_places(frame, infos)
             if exact:
                 material.check_frame(frame, rewards, infos)
+            else:
+                material.check_places(frame, infos)
     env.reset(seed=0, options=options)
     _stepper(env, action, material.sizes.frames - material.sizes.timed)()
 

@@ -114,8 +114,10 @@ def z_scores(row: Floats) -> Floats:
     return z
 
 
-def novelty_of(row: Floats, before: Floats) -> float:
-    """1 - correlation; constant rows correlate with nothing."""
+def novelty_of(row: Floats, before: Floats | None) -> float | None:
+    """1 - correlation; None for a technique's first row, and with a constant one."""
+    if before is None or row.min() == row.max() or before.min() == before.max():
+        return None
     return clamp(1.0 - float(np.mean(z_scores(row) * z_scores(before))), 0.0, 2.0)
 
 
@@ -124,10 +126,11 @@ def weight_of(rates: Rates, known: Technique, row: Floats, novelty: float | None
     constant = row.min() == row.max()
     contrast = 0.0 if constant else float(row.std())
     weight = 0.0 if constant else 1.0
-    if novelty is None:
+    if known.last is None:
         known.contrast = contrast
         return weight
-    weight *= rates.repeat + (1 - rates.repeat) * min(1.0, novelty / rates.novel)
+    if novelty is not None:
+        weight *= rates.repeat + (1 - rates.repeat) * min(1.0, novelty / rates.novel)
     if contrast < known.contrast:
         weight *= (contrast / known.contrast) ** rates.contrast
     known.contrast = 0.9 * known.contrast + 0.1 * contrast
@@ -292,7 +295,7 @@ class Belief:
         for known, row in zip(self.known, rows, strict=True):
             if row is None:
                 continue
-            novelty = None if known.last is None else novelty_of(row, known.last)
+            novelty = novelty_of(row, known.last)
             known.weight = weight_of(self.rates, known, row, novelty)
             if novelty is None:
                 continue

@@ -31,6 +31,7 @@ from amusic_gym.comparison import (
 from amusic_gym.metrics import summarise
 from amusic_gym.policy import Context
 from amusic_gym.rollout import rollout
+from amusic_gym.settings import SICSettings
 from amusic_gym.trace import Trace
 from baselines import make_policy
 
@@ -124,7 +125,7 @@ def test_a_row_for_every_policy_weight_and_bank(tmp_path, said):
         (bank.name, *rest)
         for bank in banks
         for rest in [
-            ("music", None, "evidence"),
+            ("music", None, SICSettings.statistic),
             ("weighted", 1.0, "mean"),
             ("weighted", 3.0, "mean"),
             ("raw:T0", None, "none"),

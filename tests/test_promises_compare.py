@@ -151,7 +151,6 @@ def test_compare_writes_table_results_traces_and_figures(run, tmp_path, banks):
     [
         (["--policy", "amusci"], "unknown policy 'amusci': did you mean 'amusic'?"),
         (["--policy", "subset:T0+T9"], "unknown technique 'T9'"),
-        (["--policy", "ppo"], "policy 'ppo' needs a trained run"),
         (["--policy", "ppo:nowhere"], "nowhere is no run folder"),
         (["--policy", "music", "--statistic", "evidance"], "did you mean 'evidence'?"),
         (["--policy", "music", "--costs", "paper"], "the paper gives no time for technique 'T0'"),
@@ -213,6 +212,17 @@ def test_38_learned_selector_has_a_row_per_compute_weight_and_keeps_its_statisti
     assert refused.returncode == 2
     assert "was trained with the statistic 'evidence' and takes no other" in refused.stderr
     assert refused.stderr.count("\n") == 1
+
+
+def test_the_selector_that_ships_needs_no_run_folder(run, tmp_path, banks):
+    done = run("compare.py", "--bank", banks[1], "--policy", "ppo", "--out", tmp_path / "out")
+    assert (done.returncode, done.stderr) == (0, "")
+    rows = results(tmp_path / "out")["rows"]
+    assert {row["policy"] for row in rows} == {"ppo"}
+    assert {row["statistic"] for row in rows} == {SICSettings.statistic}
+    weights = [row["compute_weight"] for row in rows]
+    assert len(weights) == len(set(weights)) > 1
+    assert rows[0]["compute"] > rows[-1]["compute"]  # dearer runs, fewer of them
 
 
 def test_correctness_reports_every_technique(run, tmp_path, banks):

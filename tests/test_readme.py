@@ -54,7 +54,7 @@ def check_script(words: list[str]) -> None:
     script, *arguments = words
     assert (ROOT / script).is_file(), f"there is no {script}"
     where = [script]
-    if not arguments[0].startswith("-"):  # a subcommand
+    if arguments and not arguments[0].startswith("-"):  # a subcommand
         listed = re.search(rf"^ +{arguments[0]} ", help_of(script), re.MULTILINE)
         assert listed, f"{script} has no {arguments[0]}"
         where.append(arguments[0])
@@ -94,6 +94,7 @@ def test_command_exists(command: str) -> None:
 @pytest.mark.parametrize(
     "command",
     [
+        "python scripts/nothing.py",
         "python scripts/nothing.py --out X",
         "python scripts/bank.py pictures --out X",
         "python scripts/bank.py simulate --seeds 1",
@@ -109,8 +110,16 @@ def test_the_check_refuses_what_is_not_there(command: str) -> None:
 
 
 def test_commands_are_found_in_blocks_and_in_sentences() -> None:
-    text = "\n    make demo\n    A=1 python scripts/a.py --x \\\n        --y\n\nSee `make test -k`."
-    assert commands(text) == ["make demo", "python scripts/a.py --x --y", "make test -k"]
+    text = (
+        "\n    make demo\n    python scripts/b.py\n"
+        "    A=1 python scripts/a.py --x \\\n        --y\n\nSee `make test -k`."
+    )
+    assert commands(text) == [
+        "make demo",
+        "python scripts/b.py",
+        "python scripts/a.py --x --y",
+        "make test -k",
+    ]
 
 
 @pytest.mark.filterwarnings("ignore:.*has no correct match")  # after 64 frames of training

@@ -72,6 +72,7 @@ def test_a_selector_learns_to_follow_the_planted_technique(tmp_path):
         compute_weights=(weight, weight),
         evaluate_every=10**6,
         held_out=1,
+        statistic="evidence",  # its memory is what makes finding the good technique pay so soon
         network=NetworkConfig(first_logit=0.0),
     )
     unseen = [Job(bank, weight) for bank in planted_routes(900, 4)]

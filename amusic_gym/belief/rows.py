@@ -60,10 +60,12 @@ def product(left: Any, right: Any, size: int) -> float:
 
 @inner
 def novelty_of(run: Any, frame: int, last: int) -> float:
-    """1 − correlation of a technique's rows of two frames."""
+    """1 − correlation of a technique's rows of two frames; −1 if one of them is constant."""
     row, before = row_at(run, frame), row_at(run, last)
     size = row.size
     scale = scale_at(run, frame)[0] * scale_at(run, last)[0]
+    if scale == 0.0:
+        return -1.0
     shift = mean_at(run, frame)[0]
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     even = size - size % 4
@@ -106,7 +108,8 @@ def listen(rates: Rates, known: Any, run: Any, frame: int, hubs: Any, out: Any) 
     known.weight = 1.0 if scale > 0.0 else 0.0
     if known.last >= 0:
         novelty = novelty_of(run, frame, known.last)
-        known.weight *= rates.repeat + (1.0 - rates.repeat) * min(1.0, novelty / rates.novel)
+        if novelty >= 0.0:
+            known.weight *= rates.repeat + (1.0 - rates.repeat) * min(1.0, novelty / rates.novel)
         if contrast < known.contrast:
             known.weight *= (contrast / known.contrast) ** rates.contrast
         known.contrast += RECENT * (contrast - known.contrast)
