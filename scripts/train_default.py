@@ -57,13 +57,13 @@ def main(arguments: list[str] | None = None) -> None:
         begun = any((given.out / part / CONFIG).exists() for part in (".", IMITATION))
         teacher = make_teacher(given.out / IMITATION, config, resume=begun)
         imitate_then_train(given.out, config, teacher, resume=begun)
-    if given.ship:
-        ship(given.out, SHIPPED)
     same = (SHIPPED / SELECTOR).is_file() and (
         (SHIPPED / SELECTOR).read_bytes() == (given.out / SELECTOR).read_bytes()
     )
     words = "the selector that ships" if same else "not the selector that ships, bit for bit"
     print(f"The selector in {given.out} is {words}")
+    if given.ship:
+        ship(given.out, SHIPPED)
 
 
 if __name__ == "__main__":
