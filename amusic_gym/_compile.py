@@ -21,6 +21,7 @@ KERNEL_SOURCES = (
     "rows.py",
     "sic.py",
     "observation.py",
+    "belief/places.py",
     "dynamics.py",
 )
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym._compile import apart, compiled, inner
+from amusic_gym.belief.places import log_odds, log_ratio
 from amusic_gym.observation import SMOOTHING, observe
 from amusic_gym.rows import mean_at, prepare, row_at, scale_at, top_at
 from amusic_gym.sic import (
@@ -26,9 +27,6 @@ from amusic_gym.sic import (
     weigh,
     weight_of,
 )
-
-SURE = 1e-12
-"""The least probability that a logarithm is taken of."""
 
 IDLE_DECAY = 0.9
 """Factor on p̂ and confidence per frame on which nothing ran."""
@@ -88,6 +86,7 @@ SLOT = np.dtype(
         ("support_mean", np.float64),
         ("stored", np.float64),  # what the last run said for the fused diagonal
         ("trust", np.float64),  # belief: probability that a row is informative
+        ("sharpness", np.float64),  # belief: how sharp they are on average, of at most 1
         ("weight", np.float64),  # belief: of the last row, less where it repeats the one before
         ("lagged", np.int64),  # frames before this one are in the lagged sums
     ]
@@ -207,6 +206,7 @@ def recall(state: State, i: int, s: int, frame: int) -> None:
     slot.correction = known.correction
     slot.margin = known.margin
     slot.trust = known.trust
+    slot.sharpness = 0.25 * known.once + 0.5 * known.twice + known.fourfold
     slot.weight = known.weight
     slot.stored = known.said
 
@@ -437,12 +437,6 @@ def fuse(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
 
 
 @inner
-def log_odds(share: float) -> float:
-    """Log-odds of a probability, kept finite."""
-    return math.log(max(share, SURE)) - math.log(max(1.0 - share, SURE))
-
-
-@inner
 def believe(state: State, rules: Rules, i: int, out: Outcome) -> None:
     """Take the place whose surroundings hold most of the belief; estimate correctness.
 
@@ -456,7 +450,7 @@ def believe(state: State, rules: Rules, i: int, out: Outcome) -> None:
     if not known:
         return
     arrive(route, mind.place)
-    route.margin = math.log(max(mind.share, SURE)) - math.log(max(mind.rival, SURE))
+    route.margin = log_ratio(mind.share, mind.rival)
     route.said = mind.said
     if mind.heard > 0:
         route.said_mean += SMOOTHING * (mind.said / mind.heard - route.said_mean)

@@ -55,6 +55,7 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     | support_mean | squash of the running mean of support |
     | stored | squash of the statistic that the fused diagonal had at its last run * |
     | trust | probability that its rows are informative, by `belief`; 0 before its first run |
+    | sharpness | how sharp they are taken to be, on average: 0 says nothing, 1 the sharpest |
     | weight | of its last row, by `belief`: 1, or less where it repeats the one before |
     | age | squash of the frames since its last run; 1 before the first |
     | chosen | 1 if its statistic is the highest on this frame (MuSIC) |
@@ -87,8 +88,8 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     that probability over its best rival's; *stored* the log-likelihood that its last row gave the
     fused place then. The *confidence* is the calibrated log-odds of being within the tolerance,
     and the *margin* over the rival the log ratio of the belief around the fused place and around
-    the best one that shares no place with it. With the other statistics, `trust`, `weight`,
-    `steady`, `said`, `said_mean` and `strange` are 0.
+    the best one that shares no place with it. With the other statistics, `trust`, `sharpness`,
+    `weight`, `steady`, `said`, `said_mean` and `strange` are 0.
 
     ## Rewards
     p̂ − λ · (seconds run in this step / Σ seconds), from declared seconds; the terms are in

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from amusic_gym._compile import inner
 from amusic_gym.settings import COMPUTE_WEIGHT_RANGE
 
-VERSION = 2
+VERSION = 3
 """Rises whenever the meaning or the order of an entry changes; trained runs store it."""
 
 TECHNIQUE_FEATURES = (
@@ -30,6 +30,7 @@ TECHNIQUE_FEATURES = (
     "support_mean",
     "stored",
     "trust",
+    "sharpness",
     "weight",
     "age",
     "chosen",
@@ -98,12 +99,13 @@ def observe_technique(slot: Any, route: Any, out: Any) -> None:
     out[8] = squash(slot.support_mean)
     out[9] = squash(slot.stored)
     out[10] = slot.trust
-    out[11] = slot.weight
-    out[12] = squash(route.frame - slot.last_run) if slot.last_run >= 0 else 1.0
-    out[13] = slot.chosen
-    out[14] = slot.cost_share
-    out[15] = slot.cost_log
-    out[16] = slot.price
+    out[11] = slot.sharpness
+    out[12] = slot.weight
+    out[13] = squash(route.frame - slot.last_run) if slot.last_run >= 0 else 1.0
+    out[14] = slot.chosen
+    out[15] = slot.cost_share
+    out[16] = slot.cost_log
+    out[17] = slot.price
 
 
 @inner

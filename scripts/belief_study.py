@@ -33,8 +33,9 @@ WITHOUT = {
     "discount of repetitions": {"repeat": 1.0},
     "standing seen in equal rows": {"stand": 1.0},
     "jumps seen in changed rows": {"jump_novel": 0.0},
-    "trust below certainty": {"trust": 0.99, "trust_count": 1e9},
-    "learning whom to trust": {"trust_count": 1e9},
+    "trust below certainty": {"trust": 0.99, "learn": 0.0},
+    "rows of several kinds of sharpness": {"sharper": 0.0},
+    "learning whom to trust": {"learn": 0.0},
 }
 GAMMAS = (1.0, 0.9, 0.8)
 ACTIVE = (1, 2, 0)  # cheapest techniques that run; 0: all

@@ -23,8 +23,10 @@ RANGES = {  # of rates, far beyond what any fit would give
     "convexity": (0.0, 2.0),
     "most": (1.0, 12.0),
     "trust": (0.02, 0.98),
-    "trust_count": (0.5, 200.0),
-    "trust_memory": (2.0, 1000.0),
+    "sharper": (0.0, 1.0),
+    "sharpest": (0.0, 1.0),
+    "learn": (0.0, 2.0),
+    "relearn": (0.0, 0.5),
     "hub": (0.0, 1.0),
     "hub_spread": (0.0, 1.0),
     "hub_count": (0.5, 100.0),
@@ -115,8 +117,8 @@ def assert_own(info: dict, witness, t: int, own: oracle_belief.Own) -> None:
     assert info["correction"][t] == witness["correction"]
     for name in ("statistic", "correction", "margin"):
         assert abs(witness[name] - getattr(own, name)) <= room, (t, name)
-    for name in ("weight", "trust", "said"):
-        assert abs(witness[name] - getattr(own, name)) <= CLOSE, (t, name)
+    for name in ("weight", "trust", "once", "twice", "fourfold", "said"):
+        assert abs(witness[name] - getattr(own, name)) <= CLOSE, (t, name, witness[name], getattr(own, name))
 
 
 def assert_frame(env: TechniqueSelectionEnv, info: dict, step: oracle_belief.Step) -> None:

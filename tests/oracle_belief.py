@@ -36,8 +36,7 @@ class Technique:
 
     usual: Floats  # of each place: mean and variance of its z-scores
     spread: Floats
-    trust: float
-    trusted: float
+    kinds: Floats  # probabilities that its rows say nothing, or are of sharpness 1, 2 and 4
     count: int = 0
     last: Row = None
     last_frame: int = -1
@@ -56,6 +55,9 @@ class Own:
     margin: float
     weight: float
     trust: float = 0.0
+    once: float = 0.0
+    twice: float = 0.0
+    fourfold: float = 0.0
     said: float = 0.0
 
 
@@ -155,22 +157,34 @@ def without_hubs(rates: Rates, known: Technique, row: Floats) -> Floats:
     return values
 
 
-def likelihoods(rates: Rates, known: Technique, values: Floats, prior: Floats) -> Floats:
-    """Likelihood of every place, and what the row teaches of the trust in its technique."""
+def kinds_of(rates: Rates) -> Floats:
+    """Probabilities of the kinds of rows before any is known."""
+    sharper = rates.trust * rates.sharper
+    sharpest = sharper * rates.sharpest
+    return np.array([1.0 - rates.trust, rates.trust - sharper, sharper - sharpest, sharpest])
+
+
+def likelihoods(rates: Rates, known: Technique, values: Floats) -> Floats:
+    """Likelihood (4, R) of every place if rows say nothing, or are of sharpness 1, 2 and 4."""
     logs = []
     for value in values:
         bent = value + (rates.convexity * value**2 if value > 0 else 0.0)
         logs.append(rates.sharpness * known.weight * bent)
-    soft = [(1.0 + max(x - max(logs), -60.0) / 1024.0) ** 1024 for x in logs]  # exp, nearly
-    informative = np.array(soft) / np.mean(soft)
-    likely: Floats = 1.0 - known.trust + known.trust * informative
-    fit = float(prior @ informative)
-    right = known.trust * fit / (1.0 - known.trust + known.trust * fit)
-    weight = float(prior @ prior) * known.weight
-    learned = (known.trusted * known.trust + weight * right) / (known.trusted + weight)
-    known.trust = clamp(learned, 0.01, 0.99)
-    known.trusted = min(known.trusted + weight, rates.trust_memory)
-    return likely
+    soft = np.array([(1.0 + max(x - max(logs), -60.0) / 1024.0) ** 1024 for x in logs])  # e^, nearly
+    by_kind = [soft**sharpness / np.mean(soft**sharpness) for sharpness in (1, 2, 4)]
+    return np.array([np.ones(len(values)), *by_kind])
+
+
+def learned(rates: Rates, known: Technique, by_kind: Floats, looks: Floats) -> Floats:
+    """Probabilities of the kinds, after a row and the belief that it led to."""
+    others = looks / (known.kinds @ by_kind)  # what the past and the other techniques say
+    fits = by_kind @ others
+    new: Floats = known.kinds * (fits / fits[0]) ** (rates.learn * known.weight)
+    new = (1.0 - rates.relearn) * new / new.sum() + rates.relearn * kinds_of(rates)
+    nothing = max(1.0 - new[1:].sum(), 0.01)
+    new[1:] *= (1.0 - nothing) / new[1:].sum()
+    new[0] = nothing
+    return new
 
 
 # ---- places ------------------------------------------------------------------------------
@@ -269,7 +283,7 @@ class Belief:
         even = np.full(references, 1 / references)
         self.lines = {way: start_of(rates, way) * even for way in WAYS}
         self.known = [
-            Technique(np.zeros(references), np.ones(references), rates.trust, rates.trust_count)
+            Technique(np.zeros(references), np.ones(references), kinds_of(rates))
             for _ in range(techniques)
         ]
 
@@ -345,12 +359,13 @@ class Belief:
         looks = self._looks()
         own: list[Any] = []
         factors: dict[int, Floats] = {}
+        by_kind: dict[int, Floats] = {}
         for t, (known, row) in enumerate(zip(self.known, rows, strict=True)):
             own.append(None)
             if row is not None:
-                factors[t] = likelihoods(self.rates, known, values[t], looks)
+                by_kind[t] = likelihoods(self.rates, known, values[t])
+                factors[t] = known.kinds @ by_kind[t]
                 own[t] = own_word(looks * factors[t], row, self.tolerance, known.weight)
-                own[t].trust = known.trust
         together = np.ones(self.size)
         for factor in factors.values():
             together = together * factor
@@ -362,8 +377,13 @@ class Belief:
         self.lines = {way: line / whole for way, line in self.lines.items()}
         places = np.sum(list(self.lines.values()), axis=0)
         place, share, rival = likeliest(places, self.tolerance)
+        looks = self._looks()
         for t, factor in factors.items():
             own[t].said = math.log(factor[place])
+            known = self.known[t]
+            known.kinds = learned(self.rates, known, by_kind[t], looks)
+            own[t].trust = 1.0 - known.kinds[0]
+            own[t].once, own[t].twice, own[t].fourfold = known.kinds[1:]
         steady = sum(float(line.sum()) for way, line in self.lines.items() if way not in SPEEDS)
         said = math.fsum(one.said for one in own if one is not None)
         return Frame(place, share, rival, steady, strange, said, len(factors), places, own)

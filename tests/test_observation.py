@@ -128,6 +128,7 @@ class Observer:
             squash(slot["support_mean"]),
             squash(slot["stored"]),
             slot["trust"],
+            slot["sharpness"],
             slot["weight"],
             squash(frame - slot["last"]) if slot["last"] >= 0 else 1.0,
             float(info["technique"] == t),
@@ -176,6 +177,8 @@ class BeliefObserver(Observer):
         known = self.episodes.minds.witnesses[0, 0, t]
         self.slots[t].update({key: known[key] for key in ("statistic", "margin", "correction")})
         self.slots[t].update(trust=known["trust"], weight=known["weight"], said=known["said"])
+        sharpness = known["once"] + 2.0 * known["twice"] + 4.0 * known["fourfold"]
+        self.slots[t].update(sharpness=sharpness / 4.0)
         self.slots[t].update(place=known["place"], last=frame)
 
     def note(self, frame: int, info: dict) -> None:

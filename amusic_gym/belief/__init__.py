@@ -12,9 +12,9 @@ place and way of moving, the same for all techniques:
   taken out, because hubs that attract every query help nobody. A row that repeats the technique's
   last one says little (noise is correlated in time); a frame whose rows are the same as those
   before it says that the robot stands.
-* **Trust.** A row is right with a probability that is learned as the robot drives, per technique,
-  from the belief before the row was seen; with the rest it says nothing. So no row can rule a
-  place out.
+* **Trust.** A row says nothing, or something, or that twice or four times as sharply: each with a
+  probability that is learned as the robot drives, per technique, from what the past and the other
+  techniques say. So no row can rule a place out.
 
 A frame costs a few passes over R numbers for each technique that ran, and a few more for the
 motion, whatever ran before. The rates were fitted on simulated routes only

@@ -10,7 +10,8 @@ from amusic_gym.belief.memory import REACH, Minds, copy_mind
 from amusic_gym.belief.motion import move
 from amusic_gym.belief.places import conclude, looks_of, places_of, testify, weigh_places
 from amusic_gym.belief.rates import LOCKED, WAYS, kernel
-from amusic_gym.belief.rows import RECENT, likelihoods, listen, total
+from amusic_gym.belief.rows import RECENT, listen, total
+from amusic_gym.belief.trust import learn, likelihood, voice
 from amusic_gym.rows import prepare, top_at
 
 SAME = 1e-4
@@ -55,18 +56,33 @@ def weigh_rows(
     looks_of(now, size, prior)
     for s in range(ran.shape[0]):
         if ran[s, frame]:
-            known, row = minds.witnesses[which, i, s], minds.rows[s]
-            likelihoods(minds.rates, known, prior, size, row)
-            top = top_at(runs[s], frame)[0]
-            testify(known, prior, row, top, size, tolerance, minds.joint, minds.windows)
+            known, row, words = minds.witnesses[which, i, s], minds.rows[s], minds.voices[s]
+            voice(minds.rates, known, size, row, words)
+            top, joint, windows = top_at(runs[s], frame)[0], minds.joint, minds.windows
+            testify(known, prior, row, words, top, size, tolerance, joint, windows)
     for place in range(size):
         prior[place] = 1.0
     for s in range(ran.shape[0]):
         if ran[s, frame]:
-            row = minds.rows[s]
+            row, words = minds.rows[s], minds.voices[s]
             for place in range(size):
-                prior[place] *= row[place]
+                prior[place] *= likelihood(words, row[place])
     weigh_places(now, prior, size)
+
+
+@inner
+def look_over(minds: Minds, which: int, i: int, frame: int, ran: Any, size: int) -> None:
+    """Note what the rows said of the place in the end, and learn whom to trust."""
+    mind, looks = minds.minds[which, i], minds.prior
+    looks_of(minds.belief[which, i, mind.side], size, looks)
+    mind.said, mind.heard = 0.0, 0
+    for s in range(ran.shape[0]):
+        if ran[s, frame]:
+            known, row, words = minds.witnesses[which, i, s], minds.rows[s], minds.voices[s]
+            known.said = math.log(likelihood(words, row[mind.place]))
+            mind.said += known.said
+            mind.heard += 1
+            learn(minds.rates, known, size, row, words, looks)
 
 
 @inner
@@ -116,13 +132,7 @@ def filter_frame(
     whole = total(minds.joint, size)
     normalise(mind, now, whole, size)
     conclude(minds, mind, size, tolerance, whole)
-    mind.said, mind.heard = 0.0, 0
-    for s in range(ran.shape[0]):
-        if ran[s, frame]:
-            said = math.log(minds.rows[s, mind.place])
-            minds.witnesses[which, i, s].said = said
-            mind.said += said
-            mind.heard += 1
+    look_over(minds, which, i, frame, ran, size)
 
 
 @apart

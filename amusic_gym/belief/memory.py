@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym._compile import apart
-from amusic_gym.belief.rates import WAYS, Rates, share_of
+from amusic_gym.belief.rates import WAYS, Rates, share_of, trust_of
 
 REACH = 3
 """Most places that one frame moves, slack included; the arrays begin with so many zeros."""
@@ -35,8 +35,10 @@ WITNESS = np.dtype(
         ("weight", np.float64),  # of the present row, ≤ 1
         ("novelty", np.float64),  # running mean of 1 − correlation with the row before
         ("contrast", np.float64),  # running mean of the rows' deviation
-        ("trust", np.float64),
-        ("trusted", np.float64),  # rows that it rests on
+        ("trust", np.float64),  # probability that its rows are informative, the sum of these:
+        ("once", np.float64),  # probability that they are, with sharpness 1,
+        ("twice", np.float64),  # ... 2
+        ("fourfold", np.float64),  # ... 4
         ("place", np.int64),  # most probable place by this technique's row alone
         ("statistic", np.float64),  # its log-odds
         ("correction", np.float64),  # ... less those of the uncorrected match
@@ -45,6 +47,19 @@ WITNESS = np.dtype(
     ]
 )
 """What is known of one technique on one route."""
+
+VOICE = np.dtype(
+    [
+        ("none", np.float64),  # likelihood of a place whose row value is x:
+        ("once", np.float64),  # none + once x + twice x² + fourfold x⁴
+        ("twice", np.float64),
+        ("fourfold", np.float64),
+        ("norm_once", np.float64),  # R over the sum of x over all places,
+        ("norm_twice", np.float64),  # ... of x²
+        ("norm_fourfold", np.float64),  # ... of x⁴
+    ]
+)
+"""How a row of one frame turns into likelihoods: see :mod:`amusic_gym.belief.trust`."""
 
 
 class Minds(NamedTuple):
@@ -55,7 +70,8 @@ class Minds(NamedTuple):
     witnesses: NDArray[Any]  # (sets, N, S) WITNESS
     belief: NDArray[np.float64]  # (sets, N, 2, WAYS, REACH + R)
     hubs: NDArray[np.float64]  # (sets, N, S, 2, R): mean and variance of each place's z-scores
-    rows: NDArray[np.float64]  # (S, R) scratch: standardised rows, then likelihoods
+    rows: NDArray[np.float64]  # (S, R) scratch: standardised rows, then e to their power
+    voices: NDArray[Any]  # (S,) VOICE scratch
     prior: NDArray[np.float64]  # (R,) scratch
     joint: NDArray[np.float64]  # (R,) scratch: the belief over places, all ways of moving
     windows: NDArray[np.float64]  # (R,) scratch: sums of the belief within the tolerance
@@ -70,6 +86,7 @@ def allocate(rates: Rates, sets: int, routes: int, slots: int, references: int) 
         belief=np.zeros((sets, routes, 2, WAYS, REACH + references)),
         hubs=np.zeros((sets, routes, slots, 2, references)),
         rows=np.zeros((slots, references)),
+        voices=np.zeros(slots, VOICE),
         prior=np.zeros(references),
         joint=np.zeros(references),
         windows=np.zeros(references),
@@ -85,7 +102,8 @@ def begin(minds: Minds, route: int, references: int) -> None:
     known = minds.witnesses[:, route]
     known[:] = np.zeros((), WITNESS)
     known["last"] = -1
-    known["trust"], known["trusted"] = rates.trust, rates.trust_count
+    known["once"], known["twice"], known["fourfold"] = trust_of(rates)
+    known["trust"] = rates.trust
     known["place"] = -1
     minds.hubs[:, route, :, 0] = 0.0
     minds.hubs[:, route, :, 1] = 1.0
@@ -104,7 +122,8 @@ def copy_mind(minds: Minds, source: int, target: int, i: int) -> None:
         heard, hears = minds.witnesses[source, i, s], minds.witnesses[target, i, s]
         hears.count, hears.last, hears.weight = heard.count, heard.last, heard.weight
         hears.novelty, hears.contrast = heard.novelty, heard.contrast
-        hears.trust, hears.trusted = heard.trust, heard.trusted
+        hears.trust, hears.once = heard.trust, heard.once
+        hears.twice, hears.fourfold = heard.twice, heard.fourfold
         hears.place, hears.statistic = heard.place, heard.statistic
         hears.correction, hears.margin = heard.correction, heard.margin
         for kind in range(2):

@@ -8,6 +8,7 @@ from typing import Any
 from amusic_gym._compile import apart, inner
 from amusic_gym.belief.memory import REACH, Minds
 from amusic_gym.belief.rates import LOCKED, WANDER, WAYS
+from amusic_gym.belief.trust import likelihood
 
 SURE = 1e-12
 """The least probability that a logarithm is taken of."""
@@ -140,11 +141,19 @@ def log_ratio(share: float, rival: float) -> float:
 
 @apart
 def testify(
-    known: Any, prior: Any, row: Any, top: int, size: int, tolerance: int, joint: Any, windows: Any
+    known: Any,
+    prior: Any,
+    row: Any,
+    words: Any,
+    top: int,
+    size: int,
+    tolerance: int,
+    joint: Any,
+    windows: Any,
 ) -> None:
     """What the technique alone makes of the belief: its place, statistic and correction."""
     for place in range(size):
-        joint[place] = prior[place] * row[place]
+        joint[place] = prior[place] * likelihood(words, row[place])
     whole = window_sums(joint, size, tolerance, windows)
     best = likeliest(joint, windows, size, tolerance)
     known.place = best

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from amusic_gym._compile import standalone
 
-SOURCES = ("rows.py", *(f"belief/{name}.py" for name in ("rates", "rows", "motion", "places")))
+SOURCES = ("rows.py", *(f"belief/{name}.py" for name in ("rates", "rows", "trust", "motion", "places")))
 kernel = standalone(*SOURCES, "belief/memory.py", "belief/filter.py")
 """Compiles what is called from Python here."""
 
@@ -37,9 +37,11 @@ class Rates(NamedTuple):
     sharpness: float  # log-likelihood per unit of a standardised score
     convexity: float  # how much more the far upper tail says
     most: float  # standardised scores are clipped to ±this
-    trust: float  # probability that a row is informative, before anything is known
-    trust_count: float  # rows that this is worth
-    trust_memory: float  # rows that are remembered at most
+    trust: float  # probability that a technique's rows are informative, before any is known
+    sharper: float  # share of the informative that are twice as sharp, or more
+    sharpest: float  # share of these that are four times as sharp
+    learn: float  # exponent of what a row says of its technique
+    relearn: float  # chance per row that how sharp it is is drawn anew
     hub: float  # share of a place's mean that is taken out
     hub_spread: float  # share of a place's variance that is taken out
     hub_count: float  # rows that mean 0 and variance 1 are worth
@@ -75,6 +77,14 @@ def share_of(rates: Rates, way: int) -> float:
     else:
         share = rates.steady * rates.wandering * BINOMIAL[way - LOCKED - 1]
     return share
+
+
+@kernel
+def trust_of(rates: Rates) -> tuple[float, float, float]:
+    """Probabilities that a technique's rows are informative with sharpness 1, 2 and 4, at first."""
+    sharper = rates.trust * rates.sharper
+    sharpest = sharper * rates.sharpest
+    return rates.trust - sharper, sharper - sharpest, sharpest
 
 
 @cache

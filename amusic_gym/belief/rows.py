@@ -1,4 +1,4 @@
-"""From a score row to the likelihood of every place."""
+"""A score row, standardised: without hubs, and with how much it weighs."""
 
 from __future__ import annotations
 
@@ -12,22 +12,6 @@ from amusic_gym.rows import mean_at, row_at, scale_at
 RECENT = 0.1
 """Weight of the newest value in running means of novelty and contrast."""
 
-DOUBT = 0.01
-"""No row is trusted, or distrusted, beyond this."""
-
-
-@inner
-def power(value: float) -> float:
-    """Exponential of numbers ≤ 0, to within 1 % above −4, never below 0.
-
-    (1 + x/1024)^1024 by ten squarings: a loop of them runs in SIMD, which ``math.exp`` does not.
-    """
-    base = 1.0 + max(value, -60.0) * (1.0 / 1024.0)
-    for _ in range(10):
-        base *= base
-    return base
-
-
 @inner
 def total(values: Any, size: int) -> float:
     """Sum of the first ``size`` values, in four lanes."""
@@ -40,21 +24,6 @@ def total(values: Any, size: int) -> float:
         d += values[i + 3]
     for i in range(even, size):
         a += values[i]
-    return (a + b) + (c + d)
-
-
-@inner
-def product(left: Any, right: Any, size: int) -> float:
-    """Sum of the products of the first ``size`` values, in four lanes."""
-    a, b, c, d = 0.0, 0.0, 0.0, 0.0
-    even = size - size % 4
-    for i in range(0, even, 4):
-        a += left[i] * right[i]
-        b += left[i + 1] * right[i + 1]
-        c += left[i + 2] * right[i + 2]
-        d += left[i + 3] * right[i + 3]
-    for i in range(even, size):
-        a += left[i] * right[i]
     return (a + b) + (c + d)
 
 
@@ -117,31 +86,3 @@ def listen(rates: Rates, known: Any, run: Any, frame: int, hubs: Any, out: Any) 
         known.contrast = contrast
     standardise(rates, run, frame, known.count, hubs, out)
     return novelty
-
-
-@apart
-def likelihoods(rates: Rates, known: Any, prior: Any, size: int, row: Any) -> None:
-    """Turn standardised scores into likelihoods in place, and learn how far to trust the technique.
-
-    With the probability ``trust`` a row is informative and each place's likelihood is its softmax
-    over the mean one; else it is 1 everywhere.
-    """
-    slope, bend = rates.sharpness * known.weight, rates.convexity
-    highest = row[0]
-    for place in range(size):
-        highest = max(highest, row[place])
-    top = slope * (highest + bend * max(highest, 0.0) * highest)
-    for place in range(size):
-        value = row[place]
-        row[place] = power(min(slope * (value + bend * max(value, 0.0) * value) - top, 0.0))
-    scale = size / total(row, size)
-    fit = scale * product(prior, row, size)
-    sure = product(prior, prior, size)
-    trust = known.trust
-    right = trust * fit / (1.0 - trust + trust * fit)
-    weight = sure * known.weight
-    learned = (trust * known.trusted + weight * right) / (known.trusted + weight)
-    known.trust = min(max(learned, DOUBT), 1.0 - DOUBT)  # so no row ever rules a place out
-    known.trusted = min(known.trusted + weight, rates.trust_memory)
-    for place in range(size):
-        row[place] = 1.0 - trust + trust * scale * row[place]
