@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from agents.run_folder import CONFIG, read_config, versions
 from amusic_gym import __version__
 from amusic_gym.names import suggest
 from amusic_gym.rewards import REWARDS
+from amusic_gym.routes.simulate import POPULATION, Simulation
 from amusic_gym.settings import SICSettings
 
 HIGHEST_SEED = 1_000_000_000
@@ -85,6 +86,8 @@ class TrainingConfig:
         reward: name in `amusic_gym.rewards.REWARDS`; ``"ground_truth"`` learns from what is true on
             the training routes instead of from p̂, which a selector may learn to please.
         compute_weights: range from which every episode draws λ, on a logarithmic scale.
+        simulation: name → value or (low, high), of ranges that training routes are drawn from
+            instead of those of `amusic_gym.routes.simulate.POPULATION`.
         pool: simulated training routes that are drawn from again and again.
         n_steps: frames per route between two updates.
         batch_size: frames per gradient step, at most.
@@ -110,8 +113,9 @@ class TrainingConfig:
     n_envs: int = 64
     statistic: str = SICSettings.statistic
     reward: str = "estimated"
-    compute_weights: tuple[float, float] = (0.03, 3.0)
-    pool: int = 256
+    compute_weights: tuple[float, float] = (0.03, 6.0)
+    simulation: dict[str, Any] = field(default_factory=dict)
+    pool: int = 768
     n_steps: int = 64
     batch_size: int = 1024
     epochs: int = 4
@@ -120,7 +124,7 @@ class TrainingConfig:
     gae_lambda: float = 0.9
     entropy: float = 0.01
     evaluate_every: int = 200_000
-    held_out: int = 16
+    held_out: int = 32
     network: NetworkConfig = field(default_factory=NetworkConfig)
     frozen_updates: int = 0
     warm_start: str | None = None
@@ -141,6 +145,19 @@ class TrainingConfig:
         if self.rollout < 2:
             raise ValueError("n_steps * n_envs is 1; raise one of them: an update needs 2 frames")
         SICSettings(statistic=self.statistic)
+        self.population()
+
+    def population(self) -> Simulation:
+        """The ranges that training routes are drawn from.
+
+        Raises:
+            ValueError: for an unknown range, or a value out of its limits.
+        """
+        names = [range_.name for range_ in fields(Simulation)]
+        for name in self.simulation:
+            if name not in names:
+                raise ValueError(suggest("range of the simulation", name, names))
+        return replace(POPULATION, **self.simulation)
 
     @property
     def rollout(self) -> int:
@@ -203,6 +220,10 @@ def stored_config(out: Path) -> TrainingConfig:
         values["network"] = NetworkConfig(**values["network"])
         values["imitation"] = ImitationConfig(**values["imitation"])
         values["compute_weights"] = tuple(values["compute_weights"])
+        values["simulation"] = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in values["simulation"].items()
+        }
         return TrainingConfig(**values)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(

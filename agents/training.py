@@ -19,7 +19,6 @@ from agents.run_folder import CHECKPOINT, SELECTOR
 from agents.selector import load_selector
 from agents.warm_start import FreezeActor, Start, starting_network, take_over
 from amusic_gym.policy import Selector
-from amusic_gym.routes.simulate import POPULATION
 from amusic_gym.sources import BankLike, Banks, RouteSource, SimulatedRoutes
 
 TRAINING_SEED = 1_000_000
@@ -145,7 +144,7 @@ def training_source(config: TrainingConfig, banks: Sequence[BankLike] = ()) -> R
 def simulated_routes(config: TrainingConfig) -> SimulatedRoutes:
     """The simulated routes of the configuration's seed; no evaluation uses them."""
     seed = TRAINING_SEED + config.seed
-    return SimulatedRoutes(POPULATION, pool=config.pool, seed=seed, keep=config.pool)
+    return SimulatedRoutes(config.population(), pool=config.pool, seed=seed, keep=config.pool)
 
 
 def bank_folders(source: RouteSource | None, banks: Sequence[BankLike]) -> list[str | None]:

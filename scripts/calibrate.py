@@ -1,15 +1,15 @@
 """Fit p̂ on simulated routes and write ``amusic_gym/calibration.json``.
 
-The routes are drawn under ordinary conditions: no technique is blind in any of them, as none is on
-the recordings that the simulation was compared with. docs/fidelity.md says what other populations
-give. For the belief, which follows any motion, most of them are re-timed.
+For `mean` and `evidence` the routes are drawn under ordinary conditions: no technique is blind in
+any of them, as none is on the recordings that the simulation was compared with. docs/fidelity.md
+says what other populations give. For the belief, which follows any motion and learns whom to trust,
+they are those that its rates are fitted on.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +28,7 @@ from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 ORDINARY = Simulation(
     queries=(50, 400), ability=(0.5, 0.95), exclusive=0.0, useless=0.0, all_fail=0.0
 )
-MOVING = replace(POPULATION, ability=(0.5, 0.95), exclusive=0.0, useless=0.0, all_fail=0.0)
-ROUTES = {"mean": ORDINARY, "evidence": ORDINARY, "belief": MOVING}  # per statistic
+ROUTES = {"mean": ORDINARY, "evidence": ORDINARY, "belief": POPULATION}  # per statistic
 RATES = (0.1, 0.3, 0.6, 0.9)  # shares of the techniques that run on a frame
 
 Samples = tuple[NDArray[np.float64], NDArray[np.bool_]]

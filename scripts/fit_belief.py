@@ -16,7 +16,7 @@ import numpy as np
 from _cli import Parser, run
 
 from amusic_gym import __version__
-from amusic_gym.belief.fitting import Drive, activity, from_unit, score, to_unit
+from amusic_gym.belief.fitting import PLAIN, Drive, activity, from_unit, score, to_unit
 from amusic_gym.belief.rates import FILE, Rates, fitted
 from amusic_gym.routes.simulate import POPULATION
 from amusic_gym.trace import write_whole
@@ -35,17 +35,25 @@ def drives(seed: int, routes: int) -> list[Drive]:
     return made
 
 
-def search(start: Rates, routes: list[Drive], generations: int, seed: int, threads: int) -> Rates:
-    """The mean of the search's distribution after some generations, or when interrupted."""
+def search(
+    start: Rates, routes: list[Drive], batch: int, generations: int, seed: int, threads: int
+) -> Rates:
+    """The mean of the search's distribution after some generations, or when interrupted.
+
+    Every generation is judged by a batch of routes of its own, so that none is learned by heart.
+    """
     import cma
 
-    options = {"seed": seed + 1, "bounds": [0, 1], "verbose": -9}
+    rng = np.random.default_rng([seed, 0])
+    options = {"seed": seed + 1, "bounds": [0, 1], "popsize": 14, "verbose": -9}
     strategy = cma.CMAEvolutionStrategy(to_unit(start).clip(0.01, 0.99), STEP, options)
     with ThreadPoolExecutor(threads) as pool:
         try:
             for generation in range(generations):
                 points = strategy.ask()
-                losses = [score(routes, from_unit(point), pool)[0] for point in points]
+                drawn = rng.choice(len(routes), min(batch, len(routes)), replace=False)
+                judges = [routes[i] for i in drawn]
+                losses = [score(judges, from_unit(point), pool)[0] for point in points]
                 strategy.tell(points, losses)
                 print(f"[{generation + 1}/{generations}] loss {min(losses):.4f}", flush=True)
         except KeyboardInterrupt:
@@ -63,22 +71,26 @@ def _stored(file: Path) -> Rates:
 def main(arguments: list[str] | None = None) -> None:
     """Parse, simulate, search, write."""
     parser = Parser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--routes", type=int, default=120, help="simulated routes (120)")
-    parser.add_argument("--held-out", type=int, default=60, help="and others to judge by (60)")
-    parser.add_argument("--generations", type=int, default=120, help="of the search (120)")
+    parser.add_argument("--routes", type=int, default=1200, help="simulated routes (1200)")
+    parser.add_argument("--batch", type=int, default=250, help="of them per generation (250)")
+    parser.add_argument("--held-out", type=int, default=200, help="and others to judge by (200)")
+    parser.add_argument("--generations", type=int, default=50, help="of the search (50)")
     parser.add_argument("--seed", type=int, default=30, help="of the routes (30)")
     parser.add_argument("--threads", type=int, default=2, help="(2)")
-    parser.add_argument("--start", type=Path, help="rates to begin with (those that ship)")
+    parser.add_argument("--start", type=Path, help="rates to begin with (plain ones)")
     default = Path(__file__).parent.parent / "amusic_gym" / "belief" / FILE
     parser.add_argument("--out", type=Path, default=default, help="the package's file")
     given = parser.parse_args(arguments)
-    start = _stored(given.start) if given.start else fitted()
+    start = _stored(given.start) if given.start else PLAIN
     routes, held_out = drives(given.seed, given.routes), drives(HELD_OUT_SEED, given.held_out)
-    found = search(start, routes, given.generations, given.seed, given.threads)
+    found = search(start, routes, given.batch, given.generations, given.seed, given.threads)
     rates = Rates(*(float(f"{value:.4g}") for value in found))
     with ThreadPoolExecutor(given.threads) as pool:
-        before, after = (score(held_out, each, pool) for each in (start, rates))
-    words = f"--routes {given.routes} --generations {given.generations} --seed {given.seed}"
+        before, after = (score(held_out, each, pool) for each in (fitted(), rates))
+    names = ("routes", "batch", "generations", "seed")
+    words = " ".join(f"--{name} {getattr(given, name)}" for name in names)
+    if given.start:
+        words += f" --start {given.start.name}"
     table = {
         "made_by": f"python scripts/fit_belief.py {words}",
         "version": __version__,
@@ -86,7 +98,7 @@ def main(arguments: list[str] | None = None) -> None:
         "rates": rates._asdict(),
     }
     write_whole(given.out, (json.dumps(table, indent=1) + "\n").encode())
-    print(f"held-out loss {before[0]:.4f} -> {after[0]:.4f}, accuracy {after[1]:.4f}: {given.out}")
+    print(f"held-out loss {before[0]:.4f} as ships, {after[0]:.4f} now: {given.out}")
 
 
 if __name__ == "__main__":

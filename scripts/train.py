@@ -8,11 +8,12 @@ reselect (PPO on when to select again).
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from _cli import Parser, run
+from _cli import Parser, pairs, run
 
 if TYPE_CHECKING:
     from agents.config import TrainingConfig
@@ -67,6 +68,13 @@ def _parser() -> Parser:
     add("--n-envs", type=int, help=f"routes side by side (default: {defaults.n_envs})")
     add("--statistic", help=f"of SIC (default: {defaults.statistic})")
     add("--reward", help=f"estimated or ground_truth (default: {defaults.reward})")
+    add(
+        "--simulation",
+        nargs="+",
+        metavar="NAME=VALUE",
+        help="draw training routes from other ranges, for example retimed=0 wander=0:0 "
+        "(names: amusic_gym.routes.simulate.Simulation)",
+    )
     add("--warm-start", type=Path, metavar="RUN", help="let ppo begin from this run's selector")
     add(
         "--resume",
@@ -82,6 +90,8 @@ def _config(given: argparse.Namespace) -> TrainingConfig:
 
     names = ("algorithm", "timesteps", "seed", "n_envs", "statistic", "reward")
     chosen = {name: getattr(given, name) for name in names if getattr(given, name) is not None}
+    if given.simulation:
+        chosen["simulation"] = ranges(given.simulation)
     algorithm = chosen.get("algorithm", "ppo")
     if given.warm_start and (given.resume or algorithm != "ppo"):
         raise ValueError(
@@ -99,6 +109,19 @@ def _config(given: argparse.Namespace) -> TrainingConfig:
                 f" {getattr(base, name)}; leave it out to resume, or give another folder"
             )
     return replace(base, **chosen)
+
+
+def ranges(items: Sequence[str]) -> dict[str, float | str | tuple[float, ...]]:
+    """``["retimed=0.5", "queries=80:100"]`` as ranges of a simulation."""
+    return {name: _value(value) for name, value in pairs(items, "--simulation").items()}
+
+
+def _value(text: str) -> float | str | tuple[float, ...]:
+    try:
+        numbers = tuple(float(part) if "." in part else int(part) for part in text.split(":"))
+    except ValueError:
+        return text  # a word, such as a kind of motion
+    return numbers if len(numbers) > 1 else numbers[0]
 
 
 def _stored(out: Path) -> TrainingConfig:

@@ -118,7 +118,12 @@ def assert_own(info: dict, witness, t: int, own: oracle_belief.Own) -> None:
     for name in ("statistic", "correction", "margin"):
         assert abs(witness[name] - getattr(own, name)) <= room, (t, name)
     for name in ("weight", "trust", "once", "twice", "fourfold", "said"):
-        assert abs(witness[name] - getattr(own, name)) <= CLOSE, (t, name, witness[name], getattr(own, name))
+        assert abs(witness[name] - getattr(own, name)) <= CLOSE, (
+            t,
+            name,
+            witness[name],
+            getattr(own, name),
+        )
 
 
 def assert_frame(env: TechniqueSelectionEnv, info: dict, step: oracle_belief.Step) -> None:

@@ -170,7 +170,9 @@ def likelihoods(rates: Rates, known: Technique, values: Floats) -> Floats:
     for value in values:
         bent = value + (rates.convexity * value**2 if value > 0 else 0.0)
         logs.append(rates.sharpness * known.weight * bent)
-    soft = np.array([(1.0 + max(x - max(logs), -60.0) / 1024.0) ** 1024 for x in logs])  # e^, nearly
+    soft = np.array(
+        [(1.0 + max(x - max(logs), -60.0) / 1024.0) ** 1024 for x in logs]
+    )  # e^, nearly
     by_kind = [soft**sharpness / np.mean(soft**sharpness) for sharpness in (1, 2, 4)]
     return np.array([np.ones(len(values)), *by_kind])
 

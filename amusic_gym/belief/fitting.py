@@ -42,7 +42,7 @@ SEARCHED: dict[str, Limits] = {
     "hub": Limits(0.0, 1.0, False),
     "hub_spread": Limits(0.0, 1.0, False),
     "hub_count": Limits(1.0, 100.0, True),
-    "hub_memory": Limits(20.0, 2000.0, True),
+    "hub_memory": Limits(10.0, 2000.0, True),
     "novel": Limits(0.01, 1.5, True),
     "repeat": Limits(0.0, 1.0, False),
     "contrast": Limits(0.0, 2.0, False),
@@ -61,6 +61,37 @@ SEARCHED: dict[str, Limits] = {
 }
 """Limits of every rate. Those of jumps and stops keep a steady robot from being believed in for
 ever: simulated ones are carried away less suddenly than real ones."""
+
+PLAIN = Rates(
+    sharpness=0.25,
+    convexity=0.9,
+    most=6.0,
+    trust=0.8,
+    sharper=0.4,
+    sharpest=0.4,
+    learn=0.2,
+    relearn=0.01,
+    hub=0.85,
+    hub_spread=0.8,
+    hub_count=2.0,
+    hub_memory=25.0,
+    novel=1.0,
+    repeat=0.3,
+    contrast=1.0,
+    stand=30.0,
+    jump=0.05,
+    jump_novel=0.8,
+    jump_usual=1.2,
+    change=0.1,
+    slack=0.005,
+    steady=0.7,
+    steady_jump=2e-4,
+    wandering=0.8,
+    wander=0.3,
+    leave=0.0015,
+    settle=0.0015,
+)
+"""Plain guesses, from which the search begins."""
 
 
 def to_unit(rates: Rates) -> Floats:

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 from amusic_gym._compile import standalone
 
-SOURCES = ("rows.py", *(f"belief/{name}.py" for name in ("rates", "rows", "trust", "motion", "places")))
-kernel = standalone(*SOURCES, "belief/memory.py", "belief/filter.py")
+SOURCES = ("rates.py", "rows.py", "trust.py", "motion.py", "places.py", "memory.py", "filter.py")
+kernel = standalone("rows.py", *(f"belief/{name}" for name in SOURCES))
 """Compiles what is called from Python here."""
 
 SPEEDS = 5

@@ -12,6 +12,7 @@ from amusic_gym.rows import mean_at, row_at, scale_at
 RECENT = 0.1
 """Weight of the newest value in running means of novelty and contrast."""
 
+
 @inner
 def total(values: Any, size: int) -> float:
     """Sum of the first ``size`` values, in four lanes."""

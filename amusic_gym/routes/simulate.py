@@ -259,10 +259,10 @@ POPULATION = Simulation(
     map_factor=(1.0, 3.0),
     retimed=0.6,
     techniques=(2, 6),
-    ability=(0.35, 0.95),
-    useless=0.25,
+    ability=(0.45, 0.97),
+    useless=0.15,
     all_fail=0.02,
-    exclusive=0.08,
+    exclusive=0.05,
 )
 """The routes that the belief, p̂ and selectors are fitted on: motion first of all."""
 
