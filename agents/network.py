@@ -124,6 +124,24 @@ class SelectorNetwork(nn.Module):
         return features
 
 
+def build_around(policy: Any, network: nn.Module, lr_schedule: Any) -> None:
+    """Build an actor-critic policy around a network that gives the logits itself.
+
+    Args:
+        policy: of Stable-Baselines3 or sb3-contrib; what its ``_build`` is called on.
+        network: gives logits and the critic's features, of length ``latent_dim_vf``.
+        lr_schedule: share of the training that is left → learning rate.
+    """
+    policy.mlp_extractor = network
+    policy.action_net = nn.Identity()
+    policy.value_net = nn.Linear(network.latent_dim_vf, 1)  # type: ignore[arg-type]
+    policy.value_net.apply(partial(policy.init_weights, gain=1.0))
+    rate = lr_schedule(1)
+    policy.optimizer = policy.optimizer_class(
+        policy.parameters(), lr=rate, **policy.optimizer_kwargs
+    )
+
+
 class SelectorPolicy(ActorCriticPolicy):
     """Stable-Baselines3's actor-critic policy around :class:`SelectorNetwork`."""
 
@@ -138,14 +156,7 @@ class SelectorPolicy(ActorCriticPolicy):
         self.config = config or NetworkConfig()
         super().__init__(observation_space, action_space, lr_schedule, **arguments)
 
-    def _build_mlp_extractor(self) -> None:
-        self.mlp_extractor = SelectorNetwork(self.config)  # type: ignore[assignment]
-        self.mlp_extractor.latent_dim_pi = self.action_space.shape[0]  # type: ignore[index]
-
     def _build(self, lr_schedule: Any) -> None:
-        self._build_mlp_extractor()
-        self.action_net = nn.Identity()  # the extractor gives the logits themselves
-        self.value_net = nn.Linear(self.mlp_extractor.latent_dim_vf, 1)
-        self.value_net.apply(partial(self.init_weights, gain=1.0))
-        rate = lr_schedule(1)
-        self.optimizer = self.optimizer_class(self.parameters(), lr=rate, **self.optimizer_kwargs)  # type: ignore[call-arg]
+        network = SelectorNetwork(self.config)
+        network.latent_dim_pi = self.action_space.shape[0]  # type: ignore[index]
+        build_around(self, network, lr_schedule)

@@ -11,28 +11,14 @@ import torch
 from numpy.typing import NDArray
 
 from agents.learners import Kind
+from agents.learners.driver import NetworkSelector
 from agents.network import NetworkConfig, SelectorNetwork
 from agents.run_folder import read_config, read_selector
-from amusic_gym.policy import Needs, Selector
+from amusic_gym.policy import Selector
 
 
-class TrainedSelector:
-    """Runs the techniques that the network would rather run than not.
-
-    Args:
-        network: the network.
-        statistic: SIC's statistic that it was trained on.
-        environment: other arguments of the environment that it was trained on.
-    """
-
-    def __init__(
-        self, network: SelectorNetwork, statistic: str, environment: Mapping[str, Any] | None = None
-    ) -> None:
-        self.network = network
-        self.needs = Needs(statistic=statistic, extra=dict(environment or {}))
-
-    def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Nothing to forget: what it knows is in the observation."""
+class TrainedSelector(NetworkSelector[SelectorNetwork]):
+    """Runs the techniques that the network would rather run than not."""
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
         """The more likely value of every bit."""
@@ -52,6 +38,17 @@ def load_selector(run: str | Path) -> Selector:
     config = read_config(run)
     kind, network = read_selector(run)
     return kind.selector(network, config["versions"]["statistic"], config["environment"])
+
+
+def learned_from_truth(run: str | Path) -> bool:
+    """Whether the selector of a run folder was rewarded for what is true, not for p̂.
+
+    Raises:
+        FileNotFoundError: if the folder is not there.
+        ValueError: if it was trained with another version, or is damaged.
+    """
+    training = read_config(Path(run)).get("training")
+    return isinstance(training, dict) and training.get("reward") == "ground_truth"
 
 
 KIND = Kind("selector", NetworkConfig, SelectorNetwork, TrainedSelector)

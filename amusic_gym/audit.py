@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym import metrics
 from amusic_gym.trace import Trace
@@ -19,7 +20,7 @@ PARTING = 0.1
 
 
 class Audit(NamedTuple):
-    """p̂ of one trace against its correctness, over the frames that have p̂; plain numbers."""
+    """p̂ against correctness, over the frames that have p̂; plain numbers."""
 
     p_correct: float  # mean p̂
     accuracy: float  # share of right frames
@@ -32,19 +33,43 @@ class Audit(NamedTuple):
         return self.p_correct - self.accuracy
 
 
-def audit(trace: Trace) -> Audit | None:
-    """Hold a trace's p̂ against the truth; None for a policy that gives no p̂."""
-    held = ~np.isnan(trace.p_correct)
-    if not held.any():
+class Ranking(NamedTuple):
+    """How a technique's own statistic tells its right places from its wrong ones; plain numbers."""
+
+    frames: int  # on which it ran
+    wrong: int  # of these
+    auroc: float | None  # of its statistic; None where all are right or all wrong
+
+
+def held(*traces: Trace) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Correctness and p̂, both (n,), of the frames that have p̂, of all traces in their order."""
+    correct = np.concatenate([trace.correct for trace in traces])
+    estimate = np.concatenate([trace.p_correct for trace in traces])
+    given = ~np.isnan(estimate)
+    return correct[given], estimate[given]
+
+
+def audit(*traces: Trace, bins: int = metrics.CALIBRATION_BINS) -> Audit | None:
+    """Hold p̂ of one trace, or of several pooled, against the truth; None where there is no p̂."""
+    correct, estimate = held(*traces)
+    if not correct.size:
         return None
-    correct, estimate = trace.correct[held], trace.p_correct[held]
-    ranked = metrics.auroc(correct, estimate)
     return Audit(
         p_correct=float(estimate.mean()),
         accuracy=float(correct.mean()),
-        auroc=None if np.isnan(ranked) else ranked,
-        calibration_error=metrics.calibration_error(correct, estimate),
+        auroc=_auroc(correct, estimate),
+        calibration_error=metrics.calibration_error(correct, estimate, bins),
     )
+
+
+def ranking(correct: NDArray[np.bool_], statistic: ArrayLike) -> Ranking:
+    """Hold a technique's own statistic against whether its own place is right, both (n,), n ≥ 1."""
+    return Ranking(correct.size, int((~correct).sum()), _auroc(correct, statistic))
+
+
+def _auroc(correct: ArrayLike, score: ArrayLike) -> float | None:
+    ranked = metrics.auroc(correct, score)
+    return None if np.isnan(ranked) else ranked
 
 
 def parting(

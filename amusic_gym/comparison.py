@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from amusic_gym import __version__, comparison_files, metrics
 from amusic_gym.audit import Audit, audit, parting
 from amusic_gym.bank import ScoreBank
 from amusic_gym.checks import whole
+from amusic_gym.marks import footnote, marked
 from amusic_gym.policy import Context, Policy, Selector
 from amusic_gym.report import ReportFigure
 from amusic_gym.rollout import rollout
@@ -50,12 +51,14 @@ class Contestant:
         make: builds it, afresh for every row.
         compute_weights: the λ that it is run with, one row each; None: it has no such thing.
         version: what its behaviour depends on besides its name: a digest of its weights or code.
+        needs_truth: of what it needs ground truth, if it does; tables say so.
     """
 
     name: str
     make: Callable[[Context], Policy]
     compute_weights: tuple[float | None, ...] = (None,)
     version: str = ""
+    needs_truth: str = ""
 
 
 @dataclass(frozen=True)
@@ -66,11 +69,13 @@ class Comparison:
         traces: in the order of the banks, then of the policies.
         rows: of ``results.json``, in the same order.
         mean: the rows averaged over banks, of those (policy, λ, statistic) that every bank has.
+        needs_truth: name of a policy → of what it needs ground truth.
     """
 
     traces: list[Trace]
     rows: list[dict[str, Any]]
     mean: list[dict[str, Any]]
+    needs_truth: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -140,7 +145,8 @@ def compare(
         report(f"[{number}/{len(entries)}] {_line(row)}{' (was finished)' if kept else ''}")
     mean = metrics.mean_rows(_shared(rows))
     comparison_files.save_results(out / RESULTS, rows, mean)
-    return Comparison(traces, rows, mean)
+    made = [entry.contestant for entry in entries]
+    return Comparison(traces, rows, mean, {c.name: c.needs_truth for c in made if c.needs_truth})
 
 
 def check_banks(banks: Sequence[ScoreBank]) -> None:
@@ -275,12 +281,15 @@ COLUMNS = ("accuracy", "auc", "auc_vprbench", "ptr", "compute", "reselections", 
 def table(comparison: Comparison) -> str:
     """The rows as text, a block per bank, and their mean where there are several banks.
 
-    Below, a warning for every policy and bank where p̂ and the truth part.
+    Below, which of them need ground truth, and a warning for every policy and bank where p̂ and the
+    truth part.
     """
-    blocks = [_block(bank, rows) for bank, rows in _by_bank(comparison.rows).items()]
+    needs = comparison.needs_truth
+    blocks = [_block(bank, rows, needs) for bank, rows in _by_bank(comparison.rows).items()]
     if len(blocks) > 1 and comparison.mean:
-        blocks.append(_block(f"mean over {len(blocks)} banks", comparison.mean))
-    return "\n\n".join([*blocks, *filter(None, ["\n".join(partings(comparison.traces))])])
+        blocks.append(_block(f"mean over {len(blocks)} banks", comparison.mean, needs))
+    note = footnote((row["policy"] for row in comparison.rows), needs)
+    return "\n\n".join(filter(None, [*blocks, note, "\n".join(partings(comparison.traces))]))
 
 
 def partings(traces: Sequence[Trace]) -> list[str]:
@@ -295,9 +304,9 @@ def partings(traces: Sequence[Trace]) -> list[str]:
     return [line for line in lines if line is not None]
 
 
-def _block(title: str, rows: Sequence[dict[str, Any]]) -> str:
+def _block(title: str, rows: Sequence[dict[str, Any]], needs_truth: dict[str, str]) -> str:
     heads = ["policy", "λ", "SIC", *(name.replace("_", " ") for name in COLUMNS)]
-    lines = [heads, *(_cells(row) for row in rows)]
+    lines = [heads, *(_cells(row, needs_truth) for row in rows)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(heads))]
     text = [f"{title} ({rows[0]['queries']} frames, {rows[0]['costs']} costs)"]
     for line in lines:
@@ -309,10 +318,10 @@ def _block(title: str, rows: Sequence[dict[str, Any]]) -> str:
     return "\n".join(text)
 
 
-def _cells(row: dict[str, Any]) -> list[str]:
+def _cells(row: dict[str, Any], needs_truth: dict[str, str]) -> list[str]:
     weight = "" if row["compute_weight"] is None else f"{row['compute_weight']:g}"
     values = [f"{row[n]:g}" if n == "reselections" else f"{row[n]:.4f}" for n in COLUMNS]
-    return [row["policy"], weight, row["statistic"], *values]
+    return [marked(row["policy"], needs_truth), weight, row["statistic"], *values]
 
 
 def _line(row: dict[str, Any]) -> str:

@@ -13,6 +13,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from amusic_gym.marks import MARK
 from amusic_gym.plots import labels
 from amusic_gym.trace import write_whole
 
@@ -104,8 +105,14 @@ def _table(bank: str, rows: Sequence[Mapping[str, Any]]) -> str:
         f'<div class="scroll" tabindex="0" role="region" aria-label="Results: {escape(name)}">'
         f'<table><thead><tr><th scope="col">Policy</th><th scope="col">λ</th>'
         f'<th scope="col">SIC</th>{heads}</tr></thead><tbody>\n{body}\n</tbody></table></div>'
-        "</section>"
+        f"{_footnote(rows)}</section>"
     )
+
+
+def _footnote(rows: Sequence[Mapping[str, Any]]) -> str:
+    """What the mark means, where a policy's label has it."""
+    marked = any(MARK in labels.policy_label(row["policy"]) for row in rows)
+    return f'<p class="note">{MARK} needs ground truth</p>' if marked else ""
 
 
 def _row(row: Mapping[str, Any], best: float) -> str:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from _cli import Parser, pairs
+from _cli import Parser, by_technique, number, pairs
 
 from amusic_gym.checks import whole
 from amusic_gym.ground_truth import GroundTruth
@@ -35,10 +35,10 @@ def images(args: argparse.Namespace) -> None:
     from amusic_gym.techniques import make_technique
 
     specs = [spec.strip() for spec in args.techniques.split(",")]
-    files = _by_technique(pairs(args.weights, "--weights"), specs, "--weights")
+    files = _by_technique(args.weights, specs, "--weights")
     techniques = [make_technique(spec, files.get(spec)) for spec in specs]
     names = [technique.name for technique in techniques]
-    seconds = _by_technique(pairs(args.seconds, "--seconds"), names, "--seconds")
+    seconds = _by_technique(args.seconds, names, "--seconds")
     route = _route(args)
     bank = extract(
         route.reference,
@@ -93,26 +93,11 @@ def _size(text: str) -> tuple[int, int]:
     return int(columns), int(rows)
 
 
-def number(what: str, text: str) -> float:
-    """The number that ``text`` is.
-
-    Raises:
-        ValueError: when it is none, naming ``what`` it was given for.
-    """
-    try:
-        return float(text)
-    except ValueError:
-        raise ValueError(f"{what}={text}: {text!r} is not a number") from None
-
-
-def _by_technique(given: Mapping[str, str], names: Sequence[str], what: str) -> dict[str, str]:
-    """``given`` by the techniques' own spelling; a class may be named without its module."""
-    known = {name.rpartition(":")[2].casefold(): name for name in names}
-    known |= {name.casefold(): name for name in names}
-    for name in given:
-        if name.casefold() not in known:
-            raise ValueError(f"{what}: " + suggest("technique", name, names))
-    return {known[name.casefold()]: value for name, value in given.items()}
+def _by_technique(items: Sequence[str], names: Sequence[str], what: str) -> dict[str, str]:
+    found, unknown = by_technique(pairs(items, what), names)
+    if unknown:
+        raise ValueError(f"{what}: " + suggest("technique", unknown[0], names))
+    return found
 
 
 def _route(args: argparse.Namespace) -> _Route:

@@ -8,7 +8,7 @@ import re
 import select
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn
@@ -123,6 +123,38 @@ def pairs(items: Sequence[str], what: str) -> dict[str, str]:
             raise ValueError(f"{what} names {name!r} twice; give each name once")
         result[name] = value
     return result
+
+
+def by_technique(
+    given: Mapping[str, str], names: Sequence[str]
+) -> tuple[dict[str, str], list[str]]:
+    """What was given by technique, in the techniques' own spelling.
+
+    Args:
+        given: what `pairs` made of NAME=VALUE; NAME in upper or lower case, and a class also
+            without its module.
+        names: of the techniques: names, or ``package.module:Class``.
+
+    Returns:
+        Name of a technique → value, and the given names that are no technique's.
+    """
+    known = {name.rpartition(":")[2].casefold(): name for name in names}
+    known |= {name.casefold(): name for name in names}
+    found = {name: known.get(name.casefold()) for name in given}
+    matched = {own: given[name] for name, own in found.items() if own is not None}
+    return matched, [name for name, own in found.items() if own is None]
+
+
+def number(what: str, text: str) -> float:
+    """The number that ``text`` is.
+
+    Raises:
+        ValueError: when it is none, naming ``what`` it was given for.
+    """
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{what}={text}: {text!r} is not a number") from None
 
 
 def _lost_output() -> OSError | None:

@@ -10,12 +10,15 @@ import baselines
 from amusic_gym.comparison import COMPUTE_WEIGHTS, Contestant
 from amusic_gym.comparison_files import code_digest, file_digest
 from amusic_gym.policy import Context, Policy
-from baselines import make_policy
+from baselines import NEEDS_GROUND_TRUTH, make_policy
 
 BASELINES = Path(baselines.__file__).parent
 
 SHIPPED = BASELINES.parent / "agents" / "pretrained"
 """Run folder of the selector that ships; named without loading PyTorch."""
+
+OF_TRAINING = "of the routes that it was trained on"
+"""What a selector needs ground truth of whose reward was the true correctness."""
 
 
 def contestants(
@@ -40,7 +43,12 @@ def contestants(
 def _contestant(spec: str, statistic: str | None, weights: tuple[float, ...]) -> Contestant:
     name, _, folder = spec.partition(":")
     if name != "ppo":
-        return Contestant(spec, partial(make_policy, spec), version=code_digest(BASELINES))
+        return Contestant(
+            spec,
+            partial(make_policy, spec),
+            version=code_digest(BASELINES),
+            needs_truth=NEEDS_GROUND_TRUTH.get(name, ""),
+        )
     return _learned(spec, Path(folder) if folder else SHIPPED, statistic, weights)
 
 
@@ -49,7 +57,7 @@ def _learned(
 ) -> Contestant:
     import agents  # these need PyTorch
     from agents.run_folder import SELECTOR
-    from agents.selector import load_selector
+    from agents.selector import learned_from_truth, load_selector
 
     load_selector(folder)  # refuses what is no run folder
 
@@ -64,4 +72,5 @@ def _learned(
         return selector
 
     version = f"{file_digest(folder / SELECTOR)} {code_digest(Path(agents.__file__).parent)}"
-    return Contestant(spec, make, weights, version)
+    needs_truth = OF_TRAINING if learned_from_truth(folder) else ""
+    return Contestant(spec, make, weights, version, needs_truth)

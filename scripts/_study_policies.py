@@ -14,7 +14,6 @@ from amusic_gym.policy import Context, Policy
 from amusic_gym.settings import STATISTICS
 from amusic_gym.study import Entrant
 from amusic_gym.study import cells as kinds
-from baselines import NEEDS_GROUND_TRUTH
 
 FAMILIES = {
     "single": kinds.FIXED,
@@ -76,12 +75,13 @@ class Lineup:
             contestants=(made,),
             statistic=statistic,
             draws=kind in DRAWING,
-            needs_truth=NEEDS_GROUND_TRUTH.get(kind, ""),
+            needs_truth=made.needs_truth,
         )
 
     def _selector(self, name: str, runs: Sequence[str]) -> Entrant:
         made = tuple(self._contestant(run, self.statistic) for run in runs)
-        return Entrant(name=name, family=kinds.LEARNED, contestants=made)
+        needed = max(each.needs_truth for each in made)  # if any run does
+        return Entrant(name=name, family=kinds.LEARNED, contestants=made, needs_truth=needed)
 
     def _contestant(self, spec: str, statistic: str | None) -> Contestant:
         (made,) = contestants([spec], statistic=statistic, compute_weights=self.compute_weights)

@@ -114,13 +114,22 @@ def teacher_of(choices: Sequence[Choice], weights: tuple[float, float]) -> ByWei
     return ByWeight(edges, [Cascade(**asdict(choice.parameters)) for choice in choices])
 
 
-def make_teacher(out: Path, config: TrainingConfig, *, resume: bool = False) -> ByWeight:
+def make_teacher(
+    out: Path,
+    config: TrainingConfig,
+    *,
+    resume: bool = False,
+    routes: int = ROUTES,
+    grid: Sequence[Parameters] = GRID,
+) -> ByWeight:
     """The teacher of a run: chosen, and written to its ``teacher.json``.
 
     Args:
         out: the imitation's run folder.
         config: of the imitation.
         resume: take the teacher of the file, if there is one.
+        routes: simulated routes to choose on.
+        grid: what is tried.
 
     Raises:
         ValueError: for a damaged ``teacher.json``.
@@ -131,8 +140,8 @@ def make_teacher(out: Path, config: TrainingConfig, *, resume: bool = False) -> 
         choices = _read(path)
     else:
         _, middles = partition((low, high), PARTS if low < high else 1)
-        banks = teacher_routes(config)
-        choices = choose_cascades(banks, middles, statistic=config.statistic)
+        banks = teacher_routes(config, routes)
+        choices = choose_cascades(banks, middles, statistic=config.statistic, grid=grid)
         _write(path, choices)
     return teacher_of(choices, (low, high))
 

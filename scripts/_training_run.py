@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from _cli import Parser
 from _training_images import Pool, PoolSize, make_pool, renderer_digest
 from _training_validation import Describe, accuracy
+
+from amusic_gym.threads import one_thread
 
 HELD_OUT_SEED = 1_000_000
 """Added to the seed for the worlds of the validation."""
@@ -81,21 +84,37 @@ def story(script: str, settings: Mapping[str, Any], found: Mapping[str, float]) 
     )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options that both trainings have."""
+def command(
+    technique: str,
+    description: str | None,
+    train: Callable[[Job, int], object],
+    arguments: list[str] | None,
+) -> None:
+    """Parse, train on one thread, say where the weights are.
+
+    Args:
+        technique: name of the technique on the command line.
+        description: of the script; its first line is shown.
+        train: trains a job from a seed.
+        arguments: of the command line; None: the program's own.
+    """
+    given = _parser(description).parse_args(arguments)
+    with one_thread():
+        train(_job(given), given.seed)
+    print(f"The weights are in {given.out}; use them with --weights {technique}={given.out}")
+
+
+def _parser(description: str | None) -> Parser:
+    parser = Parser(description=(description or "").splitlines()[0])
     add = parser.add_argument
     add("--out", type=Path, required=True, help="the weights' file, NAME.safetensors")
     add("--seed", type=int, default=0, help="of everything that is drawn (0)")
     add("--resume", action="store_true", help="go on from the checkpoint beside the weights' file")
     add("--images", type=Path, help="a folder that keeps the rendered images for the next training")
+    return parser
 
 
-def job_of(given: argparse.Namespace) -> Job:
-    """The job that was asked for.
-
-    Raises:
-        ValueError: for a name that does not end in .safetensors, or a seed below 0.
-    """
+def _job(given: argparse.Namespace) -> Job:
     if given.out.suffix != ".safetensors":
         raise ValueError(f"--out {given.out} should end in .safetensors; rename it")
     if given.seed < 0:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from _bank_images import add_images, add_render, number
-from _cli import Parser, pairs, run
+from _bank_images import add_images, add_render
+from _cli import Parser, number, pairs, run
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.importers import from_arrays, from_vprbench

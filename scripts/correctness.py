@@ -1,17 +1,23 @@
-"""Measure estimated correctness against ground truth, every technique run singly.
+"""Measure estimated correctness p̂ against ground truth.
 
-Writes correctness.json and the reliability diagram reliability.png.
+Of every technique run singly; and of the fused prediction under random activity, as recorded and
+re-timed, with each technique's own statistic. Writes correctness.json, of the single techniques
+reliability.png, of the random activity tables.md and reliability_random.png.
 """
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 from _cli import Parser, run
+from _random_activity import held_against_truth, random_drives, tables
+from _reliability_figure import draw_reliability
 
 from amusic_gym import plots
 from amusic_gym.bank import ScoreBank
+from amusic_gym.checks import whole
 from amusic_gym.correctness import assess, table
 from amusic_gym.policy import Context
 from amusic_gym.rollout import rollout
@@ -41,20 +47,24 @@ def _parser() -> Parser:
         default=SICSettings.statistic,
         help="that places are found by (default: %(default)s)",
     )
+    add(
+        "--retimed",
+        type=int,
+        default=8,
+        metavar="N",
+        help="random drives of each bank re-timed, seeds 0 to N-1, and as many as recorded; 0: one "
+        "as recorded (default: %(default)s)",
+    )
     return parser
 
 
 def main() -> None:
-    """Parse the arguments, run the techniques, report."""
+    """Parse the arguments, run the techniques, drive at random, report."""
     args = _parser().parse_args()
+    retimed = whole("--retimed", args.retimed, 0)
     banks = [ScoreBank.load(folder) for folder in args.bank]
     traces = [trace for bank in banks for trace in roll(bank, args.statistic)]
-    report = {"statistic": args.statistic, **assess(traces)}
-    write_whole(
-        args.out / "correctness.json",
-        json.dumps(report, indent=1, allow_nan=False).encode() + b"\n",
-    )
-    plots.reliability(traces, args.out / "reliability.png")
+    report: dict[str, Any] = {"statistic": args.statistic, **assess(traces)}
     print(table(report))
     within = report["within"]
     if within["auroc"] is not None:
@@ -62,6 +72,16 @@ def main() -> None:
             f"\nwithin techniques: mean AUROC {within['auroc']:.4f}, least "
             f"{within['least_auroc']:.4f}, of {within['techniques']} that are sometimes wrong"
         )
+    drives = [list(random_drives(bank, args.statistic, retimed)) for bank in banks]
+    report["random"] = held_against_truth(drives)
+    text = "\n\n".join(made.markdown() for made in tables(report["random"]))
+    print(f"\n{text}")
+    written = json.dumps(report, indent=1, allow_nan=False)
+    write_whole(args.out / "correctness.json", written.encode() + b"\n")
+    write_whole(args.out / "tables.md", text.encode() + b"\n")
+    plots.reliability(traces, args.out / "reliability.png")
+    title = f"Estimated correctness under random activity: {args.statistic}"
+    draw_reliability(report["random"]["reliability"], title, args.out / "reliability_random.png")
     print(f"\n{args.out / 'correctness.json'}")
 
 

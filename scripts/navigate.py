@@ -16,7 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from _cli import Parser, pairs, run  # first: Ctrl-C ends well from here on
+from _cli import Parser, by_technique, number, pairs, run  # first: Ctrl-C ends well from here on
 
 # isort: split
 import numpy as np
@@ -65,12 +65,13 @@ def frames_of(query: str) -> FrameSource:
 
 def techniques_of(args: argparse.Namespace) -> list[Technique]:
     """The techniques of the command line, with their weights."""
-    weights = {name.casefold(): file for name, file in pairs(args.weights, "--weights").items()}
     names = [name.strip() for name in args.techniques.split(",") if name.strip()]
-    made = [make_technique(name, weights.pop(name.casefold(), None)) for name in names]
-    if weights or not made:
+    weights, unknown = by_technique(pairs(args.weights, "--weights"), names)
+    made = [make_technique(name, weights.get(name)) for name in names]
+    if unknown or not made:
+        given = ", ".join(name.casefold() for name in unknown)
         raise ValueError(
-            f"--weights for {', '.join(weights) or 'nothing'}, but --techniques names"
+            f"--weights for {given or 'nothing'}, but --techniques names"
             f" {', '.join(names) or 'none'}; name each technique there"
         )
     return made
@@ -78,16 +79,14 @@ def techniques_of(args: argparse.Namespace) -> list[Technique]:
 
 def seconds_of(given: list[str], techniques: tuple[str, ...]) -> dict[int, float]:
     """Declared seconds by the technique's index, of those that are given."""
-    folded = [name.casefold() for name in techniques]
-    found = {}
-    for name, text in pairs(given, "--seconds").items():
-        if name.casefold() not in folded:
-            raise ValueError(f"--seconds {name}={text}: techniques are {', '.join(techniques)}")
-        try:
-            found[folded.index(name.casefold())] = float(text)
-        except ValueError:
-            raise ValueError(f"--seconds {name}={text}: {text!r} is not a number") from None
-    return found
+    named = pairs(given, "--seconds")
+    found, unknown = by_technique(named, techniques)
+    if unknown:
+        first = f"{unknown[0]}={named[unknown[0]]}"
+        raise ValueError(f"--seconds {first}: techniques are {', '.join(techniques)}")
+    return {
+        techniques.index(name): number(f"--seconds {name}", text) for name, text in found.items()
+    }
 
 
 def route_of(

@@ -16,11 +16,11 @@ from dataclasses import asdict, dataclass, replace
 import cv2
 import numpy as np
 import torch
-from _cli import Parser, run
+from _cli import run
 from _training_cameras import Image, draw_camera, photograph, seen_corners
 from _training_images import Pool, PoolSize, collage
 from _training_loop import Training
-from _training_run import Job, add_arguments, job_of, story, validation
+from _training_run import Job, command, story, validation
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
@@ -28,7 +28,6 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from amusic_gym.techniques.networks import CALCEncoder
 from amusic_gym.techniques.preparation import prepare_calc
 from amusic_gym.techniques.saved_weights import save_calc
-from amusic_gym.threads import one_thread
 
 HOG_LENGTH = 3648
 CODE_LENGTH = 1064
@@ -176,12 +175,7 @@ def train(job: Job, settings: Settings) -> list[float]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Parse, train, say where the weights are."""
-    parser = Parser(description=(__doc__ or "").splitlines()[0])
-    add_arguments(parser)
-    given = parser.parse_args(arguments)
-    with one_thread():
-        train(job_of(given), Settings(seed=given.seed))
-    print(f"The weights are in {given.out}; use them with --weights calc={given.out}")
+    command("calc", __doc__, lambda job, seed: train(job, Settings(seed=seed)), arguments)
 
 
 if __name__ == "__main__":

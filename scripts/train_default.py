@@ -2,28 +2,55 @@
 
 A cascade is chosen for every part of the range of λ, imitated, and the imitation goes on learning
 with PPO; all of it on simulated routes. The run folder is ``--out``; ``--ship`` puts its selector
-into ``agents/pretrained``. A run that was stopped goes on where it was.
+into ``agents/pretrained``, unless the one that is there does better. A run that was stopped goes on
+where it was.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from _cli import Parser, run
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from _train_teacher import Parameters
+
+    from agents.config import TrainingConfig
 
 TIMESTEPS = 2_000_000
 SEED = 0
 
 
-def ship(out: Path, folder: Path) -> None:
-    """Copy what a selector needs to drive, and where it is from, without a machine's paths."""
-    from agents.run_folder import SELECTOR, read_config, write_config
-    from amusic_gym.trace import write_whole
+def learn(
+    out: Path,
+    config: TrainingConfig,
+    *,
+    routes: int | None = None,
+    grid: Sequence[Parameters] | None = None,
+) -> None:
+    """Choose the teacher, imitate it and train on with PPO, from where the folder is.
 
-    config = read_config(out)
-    config["training"]["warm_start"] = None
-    write_whole(folder / SELECTOR, (out / SELECTOR).read_bytes())
-    write_config(folder, config)
+    Args:
+        out: the run folder; nothing is done if its training is finished.
+        config: of the training.
+        routes: simulated routes to choose the teacher on; None: as many as for what ships.
+        grid: cascades to choose from; None: those for what ships.
+    """
+    from _train_teacher import GRID, ROUTES, make_teacher
+
+    from agents.imitation import IMITATION, imitate_then_train
+    from agents.run_folder import CONFIG
+
+    if _finished(out, config.timesteps):
+        return
+    begun = any((out / part / CONFIG).exists() for part in (".", IMITATION))
+    teacher = make_teacher(
+        out / IMITATION, config, resume=begun, routes=routes or ROUTES, grid=grid or GRID
+    )
+    imitate_then_train(out, config, teacher, resume=begun)
 
 
 def _finished(out: Path, timesteps: int) -> bool:
@@ -33,6 +60,64 @@ def _finished(out: Path, timesteps: int) -> bool:
     file = out / EVALUATIONS
     rows = file.read_text("utf-8").split() if file.is_file() else []
     return len(rows) > 1 and int(rows[-1].split(",")[0]) >= timesteps
+
+
+def is_same(out: Path, folder: Path) -> bool:
+    """Whether a run's selector is the one in a folder, bit for bit."""
+    from agents.run_folder import SELECTOR
+
+    there = folder / SELECTOR
+    return there.is_file() and there.read_bytes() == (out / SELECTOR).read_bytes()
+
+
+def ship(out: Path, folder: Path) -> None:
+    """Copy what a selector needs to drive, and where it is from, without a machine's paths.
+
+    Raises:
+        ValueError: if the selector in ``folder`` does better on the held-out routes.
+    """
+    from agents.run_folder import SELECTOR, read_config, write_config
+    from amusic_gym.trace import write_whole
+
+    if not is_same(out, folder):
+        _refuse_worse(out, folder)
+    config = read_config(out)
+    config["training"]["warm_start"] = None
+    write_whole(folder / SELECTOR, (out / SELECTOR).read_bytes())
+    write_config(folder, config)
+
+
+def _refuse_worse(out: Path, folder: Path) -> None:
+    from agents.config import stored_config
+    from agents.run_folder import SELECTOR
+
+    routes = stored_config(out).held_out
+    ours = score(out, routes)
+    try:
+        theirs = score(folder, routes)
+    except (FileNotFoundError, ValueError) as error:  # of another version, say: of no use to anyone
+        print(f"No selector to compare with in {folder}: {error}")
+        return
+    if ours < theirs:
+        raise ValueError(
+            f"the selector in {folder} reaches a score of {theirs:.4f} on {routes} held-out routes,"
+            f" that in {out} only {ours:.4f}; leave out --ship, or delete {folder / SELECTOR} first"
+        )
+
+
+def score(run: Path, routes: int) -> float:
+    """Score of a run's selector on held-out routes: true places − λ · compute, per frame.
+
+    Raises:
+        FileNotFoundError: if there is no selector.
+        ValueError: if it was trained with another version, or is damaged.
+    """
+    from agents.evaluation import HeldOut
+    from agents.selector import load_selector
+
+    selector = load_selector(run)
+    assert selector.needs.statistic is not None
+    return HeldOut(routes, selector.needs.statistic).evaluate(selector, 0).score
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -46,20 +131,12 @@ def main(arguments: list[str] | None = None) -> None:
     given = parser.parse_args(arguments)
 
     from _contestants import SHIPPED
-    from _train_teacher import make_teacher
 
     from agents.config import training_config
-    from agents.imitation import IMITATION, imitate_then_train
-    from agents.run_folder import CONFIG, SELECTOR
 
     config = training_config(algorithm="imitation+ppo", timesteps=given.timesteps, seed=given.seed)
-    if not _finished(given.out, given.timesteps):
-        begun = any((given.out / part / CONFIG).exists() for part in (".", IMITATION))
-        teacher = make_teacher(given.out / IMITATION, config, resume=begun)
-        imitate_then_train(given.out, config, teacher, resume=begun)
-    same = (SHIPPED / SELECTOR).is_file() and (
-        (SHIPPED / SELECTOR).read_bytes() == (given.out / SELECTOR).read_bytes()
-    )
+    learn(given.out, config)
+    same = is_same(given.out, SHIPPED)
     words = "the selector that ships" if same else "not the selector that ships, bit for bit"
     print(f"The selector in {given.out} is {words}")
     if given.ship:

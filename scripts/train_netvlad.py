@@ -19,11 +19,11 @@ from dataclasses import asdict, dataclass, field, replace
 import cv2
 import numpy as np
 import torch
-from _cli import Parser, run
+from _cli import run
 from _training_cameras import CORNERS, Image, draw_camera, photograph, seen_corners
 from _training_images import Pool, PoolSize, collage
 from _training_loop import Training
-from _training_run import Job, add_arguments, job_of, story, validation
+from _training_run import Job, command, story, validation
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812 (its usual name)
@@ -31,7 +31,6 @@ from torch.nn import functional as F  # noqa: N812 (its usual name)
 from amusic_gym.techniques.networks import NetVLADNetwork, NetVLADWidths
 from amusic_gym.techniques.preparation import Preparation
 from amusic_gym.techniques.saved_weights import save_netvlad
-from amusic_gym.threads import one_thread
 
 POINT_TEMPERATURE = 0.07
 PLACE_TEMPERATURE = 0.05
@@ -281,12 +280,7 @@ def train(job: Job, settings: Settings) -> tuple[list[float], list[float]]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Parse, train, say where the weights are."""
-    parser = Parser(description=(__doc__ or "").splitlines()[0])
-    add_arguments(parser)
-    given = parser.parse_args(arguments)
-    with one_thread():
-        train(job_of(given), Settings(seed=given.seed))
-    print(f"The weights are in {given.out}; use them with --weights netvlad={given.out}")
+    command("netvlad", __doc__, lambda job, seed: train(job, Settings(seed=seed)), arguments)
 
 
 if __name__ == "__main__":

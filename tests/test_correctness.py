@@ -2,14 +2,36 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import sys
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
+from env_cases import random_bank
 
+from amusic_gym.audit import Ranking, audit, held, ranking
 from amusic_gym.bank import ScoreBank
 from amusic_gym.correctness import MEASURES, assess, table
+from amusic_gym.env import TechniqueSelectionEnv
+from amusic_gym.plots.drawing import figure_at
+from amusic_gym.policy import Context
+from amusic_gym.rollout import rollout
+from amusic_gym.routes.retime import retime
+from amusic_gym.settings import STATISTICS
 from amusic_gym.trace import Trace
+from baselines import make_policy
+
+SCRIPTS = Path(__file__).parent.parent / "scripts"
+
+
+@pytest.fixture
+def script(monkeypatch):
+    """Imports one of the scripts' modules."""
+    monkeypatch.syspath_prepend(SCRIPTS)
+    return importlib.import_module
 
 
 def trace(technique: str, right: list[int], estimates: list[float] | None) -> Trace:
@@ -61,3 +83,183 @@ def test_traces_without_estimates_are_refused():
         assess([trace("A", [1], None)])
     with pytest.raises(ValueError, match="no trace to assess"):
         assess([])
+
+
+def test_audit_pools_the_frames_of_its_traces():
+    traces = [trace("A", [1, 0, 1], [0.9, 0.2, np.nan]), trace("B", [0], [0.3])]
+    correct, estimate = held(*traces)
+    assert correct.tolist() == [True, False, False]
+    assert estimate.tolist() == [0.9, 0.2, 0.3]
+    pooled = audit(*traces, bins=2)
+    assert pooled is not None
+    assert (pooled.accuracy, pooled.auroc) == (1 / 3, 1.0)
+    assert pooled.p_correct == pytest.approx(1.4 / 3)
+    assert pooled.calibration_error == pytest.approx(0.1 / 3 + 0.25 * 2 / 3)
+    coarse = audit(*traces, bins=1)
+    assert coarse is not None
+    assert coarse.calibration_error == pytest.approx((1.4 - 1) / 3)
+
+
+def test_ranking_is_none_where_all_are_alike():
+    assert ranking(np.array([True, False, True]), [3.0, 2.0, 1.0]) == Ranking(3, 1, 0.5)
+    assert ranking(np.array([True, True]), [3.0, 2.0]) == Ranking(2, 0, None)
+
+
+def two_timings(script) -> list:
+    """Drives of banks "a" and "b" with techniques A and B, numbers to work out by hand."""
+    drive = script("_random_activity").Drive
+
+    def made(bank, timing, correct, estimates, ran, right, statistic):
+        route = ScoreBank(np.zeros((2, len(correct), 9)), ["A", "B"], [1.0, 2.0], tolerance=0)
+        told = Trace.join(
+            route,
+            predictions=[q if on else 8 for q, on in enumerate(correct)],
+            confidence=np.zeros(len(correct)),
+            ran=np.array(ran, bool),
+            p_correct=estimates,
+            policy="random:0.6",
+            statistic="evidence",
+        )
+        return drive(bank, timing, told, np.array(right, bool), np.array(statistic, float))
+
+    off = -99.0  # of a technique that did not run
+    return [
+        [
+            made("a", "as recorded", [1, 0], [0.8, 0.4], [[1, 0], [1, 0]], [[1, 0], [0, 1]],
+                 [[2, off], [1, off]]),
+            made("a", "as recorded", [1, 0], [0.62, 0.68], [[1, 1], [0, 1]], [[0, 1], [1, 1]],
+                 [[3, 5], [off, 4]]),
+            made("a", "re-timed", [0, 0], [0.2, 0.1], [[1, 0], [1, 0]], [[0, 0], [0, 0]],
+                 [[2, off], [1, off]]),
+        ],
+        [
+            made("b", "as recorded", [1], [1.0], [[0, 1]], [[1, 1]], [[off, 1]]),
+            made("b", "re-timed", [1], [0.9], [[0, 1]], [[1, 0]], [[off, 1]]),
+        ],
+    ]  # fmt: skip
+
+
+def test_random_activity_per_bank_and_pooled(script):
+    report = script("_random_activity").held_against_truth(two_timings(script))
+    fused = {(row["bank"], row["timing"]): row for row in report["fused"]}
+    assert list(fused) == [
+        (bank, timing) for bank in ("a", "b", "pooled") for timing in ("as recorded", "re-timed")
+    ]
+    a = fused["a", "as recorded"]
+    assert (a["drives"], a["frames"], a["accuracy"]) == (2, 4, 0.5)
+    assert a["p_correct"] == pytest.approx(2.5 / 4)
+    assert a["auroc"] == 3 / 4  # 0.8 above 0.4 and 0.68, 0.62 above 0.4 only
+    assert a["brier"] == pytest.approx((0.04 + 0.16 + 0.38**2 + 0.68**2) / 4)
+    assert a["calibration_error"] == pytest.approx((0.2 + 0.4 + 2 * 0.15) / 4)  # two in a bin
+    assert fused["a", "re-timed"]["auroc"] is None
+    pooled = fused["pooled", "re-timed"]
+    assert (pooled["drives"], pooled["frames"], pooled["auroc"]) == (2, 3, 1.0)
+    assert pooled["brier"] == pytest.approx((0.04 + 0.01 + 0.01) / 3)
+    curve = report["reliability"]["re-timed"]
+    assert curve["counts"] == [0, 1, 1, 0, 0, 0, 0, 0, 0, 1]
+    assert curve["predicted"][:3] == [None, 0.1, 0.2]
+    assert curve["observed"][9] == 1.0
+    assert json.loads(json.dumps(report, allow_nan=False)) == report
+
+
+def test_techniques_count_where_they_ran(script):
+    report = script("_random_activity").held_against_truth(two_timings(script))
+    assert [tuple(row.values()) for row in report["techniques"]] == [
+        ("a", "as recorded", "A", 3, 2, 0.5),  # right at 2, wrong at 1 and 3
+        ("a", "as recorded", "B", 2, 0, None),
+        ("a", "re-timed", "A", 2, 2, None),
+        ("b", "as recorded", "B", 1, 0, None),
+        ("b", "re-timed", "B", 1, 1, None),
+    ]
+
+
+def test_tables_of_random_activity_are_markdown(script):
+    module = script("_random_activity")
+    report = module.held_against_truth(two_timings(script))
+    fused, own = (table.markdown().splitlines() for table in module.tables(report))
+    assert "| bank | drive | frames | right | mean p̂ | AUROC |" in fused[2]
+    assert fused[4] == "| a | as recorded | 4 | 0.500 | 0.625 | 0.750 | 0.225 | 0.202 |"
+    assert fused[5].startswith("| a | re-timed | 2 | 0.000 | 0.150 | - |")
+    assert fused[8].startswith("| pooled | as recorded | 5 |")
+    assert own[4] == "| a | as recorded | A | 3 | 2 | 0.500 |"
+    assert len(own) == 4 + len(report["techniques"])
+
+
+def test_random_drives_are_rollouts_as_recorded_and_re_timed(script):
+    module, bank = script("_random_activity"), random_bank(3, queries=30)
+    drives = list(module.random_drives(bank, "evidence", 4))
+    assert [drive.timing for drive in drives] == ["as recorded"] * 4 + ["re-timed"] * 4
+    assert {drive.bank for drive in drives} == {bank.name}
+    rates = {float(drive.trace.policy.partition(":")[2]) for drive in drives}
+    assert rates <= set(module.RATES)
+    assert len(rates) > 1
+    for i, drive in enumerate(drives):
+        seed, route = i % 4, bank if i < 4 else retime(bank, i % 4)
+        name = drive.trace.policy
+        policy = make_policy(name, Context.of(route, statistic="evidence", seed=seed))
+        expected = rollout(policy, route, name=name, statistic="evidence")
+        for field in ("predictions", "confidence", "p_correct", "ran", "correct"):
+            assert np.array_equal(getattr(drive.trace, field), getattr(expected, field)), field
+        assert drive.trace.ran.any(axis=1).all()
+        assert np.array_equal(drive.trace.ran, drives[seed].trace.ran)
+    (only,) = module.random_drives(bank, "evidence", 0)
+    assert np.array_equal(only.trace.predictions, drives[0].trace.predictions)
+
+
+@pytest.mark.parametrize("statistic", STATISTICS)
+def test_own_places_and_statistics_are_those_of_the_environment(script, statistic):
+    bank = random_bank(3, queries=30)
+    for drive in script("_random_activity").random_drives(bank, statistic, 1):
+        route = bank if drive.timing == "as recorded" else retime(bank, 0)
+        assert np.array_equal(drive.trace.correct, route.truth.correct(drive.trace.predictions))
+        env = TechniqueSelectionEnv(route, statistic=statistic)
+        env.reset(options={"start": 0})
+        matrix, right, wrong = route.truth.matrix(), 0, 0
+        for q, ran in enumerate(drive.trace.ran):
+            info = env.step(ran.astype(np.int8))[-1]
+            for t in np.flatnonzero(ran):
+                assert drive.right[q, t] == matrix[q, info["place"][t]]
+                assert drive.statistic[q, t] == info["statistic"][t]
+                right, wrong = right + drive.right[q, t], wrong + (not drive.right[q, t])
+        assert right > 0
+        assert wrong > 0
+
+
+def test_the_figure_shows_every_bin_that_has_frames(script, monkeypatch, tmp_path):
+    module, shown = script("_reliability_figure"), []
+
+    @contextmanager
+    def keeping(*given):
+        with figure_at(*given) as figure:
+            yield figure
+            shown.append(figure)
+
+    monkeypatch.setattr(module, "figure_at", keeping)
+    curves = {
+        "as recorded": {"predicted": [None, 0.6], "observed": [None, 0.5], "counts": [0, 40]},
+        "re-timed": {"predicted": [0.1, 0.9], "observed": [0.2, 0.7], "counts": [10, 300]},
+    }
+    path = module.draw_reliability(curves, "title", tmp_path / "figure.png")
+    assert path.read_bytes().startswith(b"\x89PNG")
+    upper, lower = shown[0].axes
+    lines = [[line.get_xdata().tolist(), line.get_ydata().tolist()] for line in upper.lines]
+    assert lines[1:5] == [[[0.6], [0.5]], [[], []], [[0.1, 0.9], [0.2, 0.7]], [[0.1], [0.2]]]
+    assert [bar.get_height() for bar in lower.patches] == [0, 40, 10, 300]
+    assert [text.get_text() for text in lower.texts] == ["", "40", "10", "300"]
+
+
+def test_the_script_writes_tables_numbers_and_figures(script, monkeypatch, tmp_path, capsys):
+    bank = random_bank(3, queries=30).save(tmp_path / "bank")
+    words = ["correctness.py", "--bank", bank, "--out", tmp_path / "out", "--retimed", "2"]
+    monkeypatch.setattr(sys, "argv", [str(word) for word in words])
+    script("correctness").main()
+    out = capsys.readouterr().out
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "correctness.json", "reliability.png", "reliability_random.png", "tables.md",
+    ]  # fmt: skip
+    assert (tmp_path / "out" / "tables.md").read_text("utf-8") in out
+    random = json.loads((tmp_path / "out" / "correctness.json").read_text("utf-8"))["random"]
+    assert [row["frames"] for row in random["fused"]] == [60, 60, 60, 60]
+    monkeypatch.setattr(sys, "argv", [*sys.argv[:-1], "-1"])
+    with pytest.raises(ValueError, match="--retimed is -1; give a whole number >= 0"):
+        script("correctness").main()

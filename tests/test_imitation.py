@@ -541,17 +541,18 @@ def test_the_chosen_cascade_pays_most_by_true_correctness(choosing):
 def test_the_teacher_follows_the_choice_and_its_file_brings_it_back(
     choosing, tmp_path, monkeypatch
 ):
-    grid = (choosing.Parameters(1, 1, 0.0), choosing.Parameters(99, 1, 0.0))
+    both = (choosing.Parameters(1, 1, 0.0), choosing.Parameters(99, 1, 0.0))
     calls = []
 
-    def choose(routes, weights, *, statistic):
+    def choose(routes, weights, *, statistic, grid):
+        assert (len(routes), grid) == (1, both)
         calls.append(weights)
         reached = (0.5, 0.5, 0.5)
-        return [choosing.Choice(w, grid[w < 0.3], *reached) for w in weights]
+        return [choosing.Choice(w, both[w < 0.3], *reached) for w in weights]
 
     monkeypatch.setattr(choosing, "choose_cascades", choose)
     config = small(compute_weights=(0.1, 1.0))
-    made = choosing.make_teacher(tmp_path, config)
+    made = choosing.make_teacher(tmp_path, config, routes=1, grid=both)
     again = choosing.make_teacher(tmp_path, config, resume=True)
     assert len(calls) == 1
     assert len(calls[0]) == choosing.PARTS
@@ -592,11 +593,10 @@ def command(monkeypatch, capsys, choosing):
     settings = ImitationConfig(rounds=2, frames=40, epochs=1)
     defaults = {**SMALL, "imitation": settings}
     monkeypatch.setattr("agents.config.TrainingConfig", lambda **v: TrainingConfig(**defaults | v))
-    monkeypatch.setattr(choosing, "teacher_routes", lambda config: banks(20, 2))
+    monkeypatch.setattr(choosing, "teacher_routes", lambda config, routes: banks(20, 2))
     monkeypatch.setattr(choosing, "PARTS", 2)
-    monkeypatch.setattr(
-        choosing.choose_cascades, "__kwdefaults__", {"grid": choosing.GRID[:3], "progress": False}
-    )
+    monkeypatch.setitem(choosing.make_teacher.__kwdefaults__, "grid", choosing.GRID[:3])
+    monkeypatch.setitem(choosing.choose_cascades.__kwdefaults__, "progress", False)
     monkeypatch.setattr(sys, "argv", ["train.py"])
 
     def call(*arguments: object) -> tuple[int, list[str]]:

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from corridor import data_folder
 from safetensors import safe_open
+from torch import get_num_threads, set_num_threads
 
 from amusic_gym.routes.images import read_image
 from amusic_gym.techniques import make_technique
@@ -226,6 +227,24 @@ def test_a_wrong_name_or_seed_is_one_line_and_status_2(script, wrong, capsys, mo
     assert (end.value.code, told.out) == (2, "")
     assert told.err.count("\n") == 1
     assert wrong[-1] in told.err
+
+
+@pytest.mark.parametrize(("script", "name"), [(train_calc, "calc"), (train_netvlad, "netvlad")])
+def test_a_command_trains_from_its_arguments_on_one_thread_and_says_where_the_weights_are(
+    script, name, tmp_path, capsys, monkeypatch
+):
+    seen = []
+    before = get_num_threads()
+    set_num_threads(2)
+    monkeypatch.setattr(script, "train", lambda *given: seen.append((given, get_num_threads())))
+    out, images = tmp_path / "mine.safetensors", tmp_path / "images"
+    script.main([*map(str, ("--out", out, "--seed", 3, "--resume", "--images", images))])
+    set_num_threads(before)
+    ((job, settings), threads), *more = seen
+    assert (job, settings) == (Job(out, resume=True, images=images), script.Settings(seed=3))
+    assert (threads, more) == (1, [])
+    told = capsys.readouterr().out
+    assert told == f"The weights are in {out}; use them with --weights {name}={out}\n"
 
 
 # ---- what they learn from -------------------------------------------------------------------

@@ -152,6 +152,23 @@ def test_an_empty_word_is_refused_behind_a_command_too(cli, capsys):
     assert (given.out, given.seconds) == (Path("a="), ["HOG="])  # not empty
 
 
+def test_values_by_technique_are_found_in_any_case_and_without_a_class_s_module(cli):
+    names = ["HOG", "own.module:Mine", "hog2"]
+    given = {"hog": "1", "MINE": "2", "Hog2": "3", "hgo": "4", "module": "5"}
+    matched, unknown = cli.by_technique(given, names)
+    assert matched == {"HOG": "1", "own.module:Mine": "2", "hog2": "3"}
+    assert unknown == ["hgo", "module"]
+    assert cli.by_technique({"OWN.module:mine": "6"}, names) == ({"own.module:Mine": "6"}, [])
+    assert cli.by_technique({}, names) == ({}, [])
+    assert cli.by_technique({"HOG": "1"}, []) == ({}, ["HOG"])
+
+
+def test_a_number_is_refused_by_the_name_it_was_given_for(cli):
+    assert cli.number("--seconds HOG", "2.5e-1") == 0.25
+    with pytest.raises(ValueError, match="^--seconds HOG=soon: 'soon' is not a number$"):
+        cli.number("--seconds HOG", "soon")
+
+
 def test_a_tolerance_that_cannot_be_counted_is_refused_by_banks_and_live_routes():
     with pytest.raises(ValueError, match=f"give at most {LARGEST_TOLERANCE} places"):
         ScoreBank(np.zeros((1, 2, 2), np.float32), ["HOG"], [1.0], tolerance=LARGEST_TOLERANCE + 1)

@@ -5,7 +5,6 @@ PPO chooses every bit for itself, given the observation; here the bits are drawn
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import torch
@@ -19,6 +18,7 @@ from agents.learners import Learner
 from agents.learners.common import make_env, ppo_arguments
 from agents.learners.sets import SetEncoder, SetSizes
 from agents.learners.subsets import SubsetNetwork, SubsetVecEnv
+from agents.network import build_around
 from amusic_gym.sources import RouteSource
 
 
@@ -56,12 +56,7 @@ class MaskableSubsetPolicy(MaskableActorCriticPolicy):
         super().__init__(*arguments, **keywords)
 
     def _build(self, lr_schedule: Any) -> None:
-        self.mlp_extractor = _ActorCritic(self.sizes)  # type: ignore[assignment]
-        self.action_net = nn.Identity()  # the extractor gives the ratings themselves
-        self.value_net = nn.Linear(self.mlp_extractor.latent_dim_vf, 1)
-        self.value_net.apply(partial(self.init_weights, gain=1.0))
-        rate = lr_schedule(1)
-        self.optimizer = self.optimizer_class(self.parameters(), lr=rate, **self.optimizer_kwargs)  # type: ignore[call-arg]
+        build_around(self, _ActorCritic(self.sizes), lr_schedule)
 
 
 def make_model(config: TrainingConfig, source: RouteSource) -> MaskablePPO:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from torch import nn
 
 from agents.learners import Kind
+from agents.learners.driver import NetworkSelector
 from agents.learners.sets import SetEncoder, SetSizes, presence
 from agents.network import ABSENT
-from amusic_gym.policy import Needs
 
 Memory = tuple[torch.Tensor, torch.Tensor]
 """Hidden and cell state, each (1, N, M)."""
@@ -90,14 +90,8 @@ class RecurrentCritic(_Remembering):
         return states, memory
 
 
-class RecurrentSelector:
-    """Runs the techniques that the network would rather run than not, with a memory per route.
-
-    Args:
-        network: the network.
-        statistic: SIC's statistic that it was trained on.
-        environment: other arguments of the environment that it was trained on.
-    """
+class RecurrentSelector(NetworkSelector[RecurrentNetwork]):
+    """Runs the techniques that the network would rather run than not, with a memory per route."""
 
     def __init__(
         self,
@@ -105,8 +99,7 @@ class RecurrentSelector:
         statistic: str,
         environment: Mapping[str, Any] | None = None,
     ) -> None:
-        self.network = network
-        self.needs = Needs(statistic=statistic, extra=dict(environment or {}))
+        super().__init__(network, statistic, environment)
         self._memory = self._blank(0)
 
     def _blank(self, routes: int) -> Memory:

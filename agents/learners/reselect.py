@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,8 +26,9 @@ from agents.adapter import SB3VecEnv
 from agents.config import TrainingConfig
 from agents.learners import Kind, Learner
 from agents.learners.common import make_env, ppo_arguments
+from agents.learners.driver import NetworkSelector
 from agents.learners.sets import SetEncoder, SetSizes
-from amusic_gym.policy import Needs
+from agents.network import build_around
 from amusic_gym.settings import BLOCK
 from amusic_gym.sources import RouteSource
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
@@ -124,12 +124,7 @@ class ReselectPolicy(ActorCriticPolicy):
         super().__init__(*arguments, **keywords)
 
     def _build(self, lr_schedule: Any) -> None:
-        self.mlp_extractor = ReselectNetwork(self.sizes)  # type: ignore[assignment]
-        self.action_net = nn.Identity()  # the extractor gives the logits themselves
-        self.value_net = nn.Linear(self.mlp_extractor.latent_dim_vf, 1)
-        self.value_net.apply(partial(self.init_weights, gain=1.0))
-        rate = lr_schedule(1)
-        self.optimizer = self.optimizer_class(self.parameters(), lr=rate, **self.optimizer_kwargs)  # type: ignore[call-arg]
+        build_around(self, ReselectNetwork(self.sizes), lr_schedule)
 
 
 class HoldingVectorEnv(TechniqueSelectionVectorEnv):
@@ -158,29 +153,20 @@ class HoldingVectorEnv(TechniqueSelectionVectorEnv):
         return result
 
 
-class ReselectSelector:
+class ReselectSelector(NetworkSelector[ReselectNetwork]):
     """Keeps the selected techniques and selects again at the network's rate.
 
     What is learned is a rate: in trouble perhaps once in ten frames, else hardly ever. Taking the
     likelier value of the bit, as other selectors do, would never select again. So the chance is
-    compared with numbers that spread evenly over [0, 1), the same on every route.
-
-    Args:
-        network: the network.
-        statistic: SIC's statistic that it was trained on.
-        environment: other arguments of the environment that it was trained on.
+    compared with numbers that spread evenly over [0, 1), the same on every route. Nothing is
+    forgotten at a reset: the infos say where a route has just begun.
     """
 
     def __init__(
         self, network: ReselectNetwork, statistic: str, environment: Mapping[str, Any] | None = None
     ) -> None:
-        self.network = network
-        extra = dict(environment or {})
-        self.needs = Needs(statistic=statistic, reselection=network.block, extra=extra)
+        super().__init__(network, statistic, environment, reselection=network.block)
         self._held = HeldSelection(network.block)
-
-    def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Nothing to forget: the infos say where a route has just begun."""
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
         """The selected techniques and the re-select bit, (N, S + 1)."""

@@ -19,8 +19,8 @@ from torch import nn
 
 from agents.adapter import SB3VecEnv
 from agents.learners import Kind
+from agents.learners.driver import NetworkSelector
 from agents.learners.sets import SetEncoder, SetSizes, presence
-from amusic_gym.policy import Needs
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 MOST_SLOTS = 10
@@ -75,23 +75,8 @@ class SubsetNetwork(nn.Module):
         return ratings.squeeze(2)
 
 
-class SubsetSelector:
-    """Runs the subset with the highest rating.
-
-    Args:
-        network: the network.
-        statistic: SIC's statistic that it was trained on.
-        environment: other arguments of the environment that it was trained on.
-    """
-
-    def __init__(
-        self, network: SubsetNetwork, statistic: str, environment: Mapping[str, Any] | None = None
-    ) -> None:
-        self.network = network
-        self.needs = Needs(statistic=statistic, extra=dict(environment or {}))
-
-    def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Nothing to forget: what it knows is in the observation."""
+class SubsetSelector(NetworkSelector[SubsetNetwork]):
+    """Runs the subset with the highest rating."""
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
         """The members of the best subset, (N, S)."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from amusic_gym.marks import MARK
 from amusic_gym.plots import labels
 from amusic_gym.plots.drawing import GREY, Note, figure_at, percent, place_notes
 from amusic_gym.plots.tradeoff import pareto
@@ -15,7 +16,6 @@ from amusic_gym.study import cells as kinds
 from amusic_gym.study.findings import Findings
 from amusic_gym.study.plan import MEAN
 from amusic_gym.study.run import Row
-from amusic_gym.study.tables import MARK
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -134,9 +134,10 @@ def _styles(findings: Findings) -> dict[str, _Style]:
             marker = LEARNED_MARKS[at % len(LEARNED_MARKS)]
         elif family == kinds.PEER:
             colour, marker = PEER_COLOUR, PEER_MARKS[peers.index(name) % len(PEER_MARKS)]
-        mark = f" {MARK}" if name in findings.settings["needs_truth"] else ""
-        label = labels.legend_name(labels.policy_label(name) + mark)
-        styles[name] = _Style(colour, marker, label)
+        label = labels.policy_label(name)
+        if MARK not in label and name in findings.settings["needs_truth"]:
+            label += f" {MARK}"
+        styles[name] = _Style(colour, marker, labels.legend_name(label))
     return styles
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from amusic_gym.audit import PARTING
+from amusic_gym.marks import footnote, marked
 from amusic_gym.study.cells import NAMES
 from amusic_gym.study.findings import SHOWN_COMPUTES, Findings
 from amusic_gym.study.fronts import BAND, ROUNDING
@@ -16,8 +17,6 @@ from amusic_gym.study.run import Row
 from amusic_gym.trace import write_whole
 
 TABLES = "tables.md"
-MARK = "†"
-"""Of policies that need ground truth."""
 
 
 @dataclass(frozen=True)
@@ -135,14 +134,18 @@ def _points_note(findings: Findings, scope: str) -> str:
             "Gap closed: share of the way from the single best to the virtual best fixed subset, "
             "both within the same compute."
         )
-    needed = "; ".join(f"{who} {what}" for who, what in findings.settings["needs_truth"].items())
-    return " ".join([*parts, *([f"{MARK} needs ground truth: {needed}."] if needed else [])])
+    return _noted(findings, " ".join(parts), [row["policy"] for row in rows])
 
 
 def _fronts(findings: Findings, condition: str) -> Table:
     """The fronts of every route and their mean: hypervolume and AUC at some computes."""
     heads = ["route", "front", "hypervolume", "95 %", "begins at"]
     heads += [f"≤ {compute:.0%}" for compute in SHOWN_COMPUTES]
+    shown = [
+        row
+        for row in findings.fronts
+        if row["condition"] == condition and row["begins"] < 1.0 - ROUNDING
+    ]
     rows = [
         [
             row["bank"],
@@ -152,18 +155,15 @@ def _fronts(findings: Findings, condition: str) -> Table:
             _percent(row["begins"]),
             *(_maybe(value, _three) for value in row["auc_at"]),
         ]
-        for row in findings.fronts
-        if row["condition"] == condition and row["begins"] < 1.0 - ROUNDING
+        for row in shown
     ]
-    return Table(
-        f"Fronts, {NAMES[condition]}",
-        heads,
-        rows,
+    note = (
         "A front is the best AUC at no more than that compute. Hypervolume: its area above AUC 0.5 "
         "over log compute, from the cheapest technique's compute to 1, as a share of the greatest "
-        "there could be. Policies that always run everything have none and are left out.",
-        words=2,
+        "there could be. Policies that always run everything have none and are left out."
     )
+    note = _noted(findings, note, [row["front"] for row in shown])
+    return Table(f"Fronts, {NAMES[condition]}", heads, rows, note, words=2)
 
 
 def _margins(findings: Findings) -> Table:
@@ -175,8 +175,8 @@ def _margins(findings: Findings) -> Table:
         [
             row["bank"],
             NAMES[row["condition"]],
-            row["policy"],
-            row["rival"],
+            _marked(findings, row["policy"]),
+            _marked(findings, row["rival"]),
             _maybe(row["least"], _signed),
             _maybe(row["least_at"], _percent),
             _maybe(row["greatest"], _signed),
@@ -187,14 +187,14 @@ def _margins(findings: Findings) -> Table:
         ]
         for row in findings.margins
     ]
-    return Table(
-        "Margins: AUC of the selector's front minus the rival's",
-        heads,
-        rows,
+    note = (
         "Least and greatest difference over a fixed grid of computes, where both fronts have "
-        "begun; a rival that begins earlier has the computes below for itself.",
-        words=4,
+        "begun; a rival that begins earlier has the computes below for itself."
     )
+    note = _noted(
+        findings, note, [row[key] for row in findings.margins for key in ("policy", "rival")]
+    )
+    return Table("Margins: AUC of the selector's front minus the rival's", heads, rows, note, 4)
 
 
 def _audit(findings: Findings) -> Table:
@@ -203,7 +203,7 @@ def _audit(findings: Findings) -> Table:
     heads += ["of", "AUROC", "least", "ECE", "greatest"]
     rows = [
         [
-            row["front"],
+            _marked(findings, row["front"]),
             NAMES[row["condition"]],
             row["bank"],
             _three(row["p_correct"]),
@@ -218,21 +218,24 @@ def _audit(findings: Findings) -> Table:
         ]
         for row in findings.audit
     ]
-    return Table(
-        "Audit: estimated correctness p̂ against the truth",
-        heads,
-        rows,
-        f"Means over cells, and the worst cell. A warning where p̂ is above the accuracy by more "
-        f"than {PARTING:g}.",
-        words=3,
+    note = (
+        "Means over cells, and the worst cell. A warning where p̂ is above the accuracy by more "
+        f"than {PARTING:g}."
     )
+    note = _noted(findings, note, [row["front"] for row in findings.audit])
+    return Table("Audit: estimated correctness p̂ against the truth", heads, rows, note, words=3)
 
 
 # ---- words -----------------------------------------------------------------------------------
 
 
 def _marked(findings: Findings, policy: str) -> str:
-    return policy + (f" {MARK}" if policy in findings.settings["needs_truth"] else "")
+    return marked(policy, findings.settings["needs_truth"])
+
+
+def _noted(findings: Findings, note: str, shown: Sequence[str]) -> str:
+    """The note, and what the mark means if one of these policies has it."""
+    return " ".join(filter(None, [note, footnote(shown, findings.settings["needs_truth"])]))
 
 
 def _three(value: float) -> str:

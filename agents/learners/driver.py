@@ -1,0 +1,45 @@
+"""What the policies around trained networks share."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import nn
+
+from amusic_gym.policy import Needs
+
+Network = TypeVar("Network", bound=nn.Module)
+
+
+class NetworkSelector(ABC, Generic[Network]):
+    """A policy that acts as a trained network says.
+
+    Args:
+        network: the network.
+        statistic: SIC's statistic that it was trained on.
+        environment: other arguments of the environment that it was trained on.
+        reselection: M of the environment's re-select bit; None: it has none.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        statistic: str,
+        environment: Mapping[str, Any] | None = None,
+        *,
+        reselection: int | None = None,
+    ) -> None:
+        self.network = network
+        extra = dict(environment or {})
+        self.needs = Needs(statistic=statistic, reselection=reselection, extra=extra)
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Nothing to forget: what it knows is in the observation and the infos."""
+
+    @abstractmethod
+    def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
+        """Actions (N, A) from observations (N, D)."""

@@ -1,0 +1,169 @@
+"""The training of the selector that ships, at a small size, and what may take its place."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+import warnings
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from small_training import SCRIPTS, SMALL
+
+from agents.config import ImitationConfig, TrainingConfig
+from agents.imitation import IMITATION
+from agents.run_folder import CONFIG, SELECTOR
+from agents.selector import load_selector
+
+if str(SCRIPTS) not in sys.path:
+    sys.path.insert(0, str(SCRIPTS))  # the training, as the scripts find each other
+
+import _cli  # noqa: E402  (found by the lines above)
+import _train_teacher  # noqa: E402
+import train_default  # noqa: E402
+from _contestants import SHIPPED  # noqa: E402
+
+TINY = {
+    **SMALL,
+    "imitation": ImitationConfig(rounds=2, frames=64, epochs=1, batch_size=32),
+    "frozen_updates": 1,
+}
+STEPS = 64
+CARD = "CARD.md"
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.iterdir())
+        if path.is_file()
+    }
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_written_where_the_selector_ships():
+    before = digests(SHIPPED)
+    yield
+    assert digests(SHIPPED) == before
+
+
+@pytest.fixture(scope="module")
+def command(tmp_path_factory):
+    """Runs the command at a small size; what ships is in a folder of the test."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("agents.config.TrainingConfig", lambda **v: TrainingConfig(**{**v, **TINY}))
+        patch.setitem(train_default.learn.__kwdefaults__, "routes", 1)
+        patch.setitem(train_default.learn.__kwdefaults__, "grid", _train_teacher.GRID[:3])
+
+        def call(out: Path, shipped: Path, *more: object) -> None:
+            patch.setattr("_contestants.SHIPPED", shipped)
+            words = ["--out", out, "--timesteps", STEPS, *more]
+            train_default.main([str(word) for word in words])
+
+        yield call
+
+
+@pytest.fixture(scope="module")
+def trained(command, tmp_path_factory) -> SimpleNamespace:
+    """A tiny training that shipped into an empty folder with a card."""
+    folder = tmp_path_factory.mktemp("default")
+    shipped = folder / "shipped"
+    shipped.mkdir()
+    (shipped / CARD).write_text("by hand")
+    command(folder / "run", shipped, "--ship")
+    return SimpleNamespace(out=folder / "run", shipped=shipped)
+
+
+@pytest.fixture
+def better(tmp_path) -> Path:
+    """A folder that holds the real selector."""
+    folder = tmp_path / "better"
+    folder.mkdir()
+    for name in (SELECTOR, CONFIG, CARD):
+        (folder / name).write_bytes((SHIPPED / name).read_bytes())
+    return folder
+
+
+def test_a_run_ships_a_selector_that_loads_with_its_configuration_beside_the_card(trained):
+    assert sorted(digests(trained.shipped)) == [CARD, CONFIG, SELECTOR]
+    assert (trained.shipped / CARD).read_text() == "by hand"
+    assert train_default.is_same(trained.out, trained.shipped)
+    stored = json.loads((trained.shipped / CONFIG).read_text("utf-8"))
+    assert stored["training"]["algorithm"] == "imitation+ppo"
+    assert stored["training"]["timesteps"] == STEPS
+    assert stored["banks"] == []
+    assert stored["best"]["timesteps"] <= STEPS
+    assert str(trained.out) not in (trained.shipped / CONFIG).read_text(
+        "utf-8"
+    )  # no machine's path
+    load_selector(trained.shipped)
+    chosen = json.loads((trained.out / IMITATION / _train_teacher.FILE).read_text("utf-8"))
+    assert len(chosen) == _train_teacher.PARTS
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_does_not(
+    trained, command, tmp_path, capsys
+):
+    (tmp_path / "empty").mkdir()
+    command(tmp_path / "again", trained.shipped)
+    assert capsys.readouterr().out.endswith("is the selector that ships\n")
+    command(tmp_path / "again", tmp_path / "empty", "--ship")  # trained already
+    for name in (SELECTOR, CONFIG):
+        assert (tmp_path / "empty" / name).read_bytes() == (trained.shipped / name).read_bytes()
+    capsys.readouterr()
+    before = digests(trained.shipped)
+    command(tmp_path / "other", trained.shipped, "--seed", 1)
+    assert capsys.readouterr().out.endswith("is not the selector that ships, bit for bit\n")
+    assert digests(trained.shipped) == before  # nothing ships unless asked
+
+
+def test_a_finished_training_is_not_begun_again(trained, command, monkeypatch, capsys):
+    before = digests(trained.out)
+    monkeypatch.setattr("agents.imitation.imitate_then_train", None)
+    monkeypatch.setattr("_train_teacher.make_teacher", None)
+    command(trained.out, trained.shipped)
+    assert capsys.readouterr().out.endswith("is the selector that ships\n")
+    assert digests(trained.out) == before
+
+
+def test_a_worse_selector_does_not_take_the_place_of_a_better_one(
+    trained, command, better, capsys, monkeypatch
+):
+    before = digests(better)
+    monkeypatch.setattr(sys, "argv", ["train_default.py"])
+    monkeypatch.setattr("warnings.formatwarning", warnings.formatwarning)  # run() replaces it
+    with pytest.raises(SystemExit) as ended:
+        _cli.run(lambda: command(trained.out, better, "--ship"))
+    told = capsys.readouterr()
+    assert ended.value.code == 2
+    assert told.err.startswith(f"train_default.py: the selector in {better} reaches a score of 0.")
+    assert "leave out --ship, or delete" in told.err
+    assert digests(better) == before
+    (better / SELECTOR).unlink()  # as the message says
+    command(trained.out, better, "--ship")
+    assert train_default.is_same(trained.out, better)
+
+
+def test_a_better_selector_takes_the_place_and_so_does_one_of_the_same_score(
+    trained, better, tmp_path, monkeypatch
+):
+    place = tmp_path / "place"
+    place.mkdir()
+    train_default.ship(trained.out, place)
+    train_default.ship(better, place)
+    assert train_default.is_same(better, place)
+    monkeypatch.setattr(train_default, "score", lambda run, routes: 0.5)
+    train_default.ship(trained.out, place)
+    assert train_default.is_same(trained.out, place)
+
+
+def test_a_selector_that_cannot_be_run_is_replaced(trained, better, capsys):
+    config = json.loads((better / CONFIG).read_text("utf-8"))
+    config["versions"]["network"] = 0
+    (better / CONFIG).write_text(json.dumps(config))
+    train_default.ship(trained.out, better)
+    assert "network version 0" in capsys.readouterr().out
+    assert train_default.is_same(trained.out, better)
+    load_selector(better)
