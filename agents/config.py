@@ -31,7 +31,7 @@ MOST_ROUTES = 65_536
 """Routes side by side; more would take memory by the hundred gigabytes."""
 
 
-WARM_START: dict[str, Any] = {"entropy": 0.001, "learning_rate": 2e-4, "frozen_updates": 8}
+WARM_START: dict[str, Any] = {"entropy": 0.001, "learning_rate": 4e-4, "frozen_updates": 8}
 """Defaults of PPO that begins from weights that can drive already: it must not undo them."""
 
 DEFAULTS: dict[str, dict[str, Any]] = {

@@ -43,7 +43,7 @@ class Parameters:
 
 GRID: tuple[Parameters, ...] = (
     *(Parameters(cheap, 1, 0.0) for cheap in (1, 2, 3, EVERYTHING)),  # never in doubt
-    *(Parameters(*each) for each in product((1, 2, 3), (5, 20, 60), (0.3, 0.5, 0.7, 0.9))),
+    *(Parameters(*each) for each in product((1, 2, 3), (1, 3, 8, 20), (0.5, 0.7, 0.9))),
 )
 
 

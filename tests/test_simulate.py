@@ -161,6 +161,18 @@ def test_conditions_change_who_is_good() -> None:
     assert np.mean(changes) > 2.0 * np.mean(quiet)
 
 
+def test_hubs_last_where_both_halves_prefer_the_same_places() -> None:
+    rng = np.random.default_rng(0)
+    hubs = rng.normal(size=40)
+    scores = np.stack([hubs + 0.1 * rng.normal(size=(30, 40)), rng.normal(size=(30, 40))])
+    scores[1, 15:] += 5.0 * hubs[::-1]
+    bank = ScoreBank(scores, ["A", "B"], [1.0, 1.0], tolerance=1, ground_truth=np.arange(30))
+    assert describe(bank, 0, {})["hubs_last"] > 0.95
+    assert describe(bank, 1, {})["hubs_last"] < 0.5
+    short = ScoreBank(scores[:, :1], ["A", "B"], [1.0, 1.0], tolerance=1, ground_truth=[0])
+    assert np.isnan(describe(short, 0, {})["hubs_last"])
+
+
 def test_all_fail_and_all_good_reach_every_technique() -> None:
     for share, least, most in (("all_fail", -0.5, 1.2), ("all_good", 2.0, 99.0)):
         route = replace(PLAIN, queries=(200, 200), **{share: 1.0}).route(np.random.default_rng(1))
@@ -225,8 +237,9 @@ def test_a_condition_shifts_whole_rows_and_columns() -> None:
     )
     scores = np.empty((queries, references), np.float32)
     rows, columns = {}, {}
-    for shift in (0.0, 1.0):
-        look = Simulation(shift=(shift, shift))._look(np.random.default_rng(0))
+    for shift, lasting in ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)):
+        ranges = Simulation(shift=(shift, shift), lasting=(lasting, lasting))
+        look = ranges._look(np.random.default_rng(0))
         apart = []
         for seed in range(8):
             write_scores(np.random.default_rng(seed), world, look, world.competence[0], scores)
@@ -238,9 +251,12 @@ def test_a_condition_shifts_whole_rows_and_columns() -> None:
                     (day - night).mean(axis=0).std() / spread,
                 ]
             )
-        rows[shift], columns[shift] = np.mean(apart, axis=0)
-    assert rows[1.0] > 2.0 * rows[0.0]
-    assert columns[1.0] > 2.0 * columns[0.0]
+        rows[shift, lasting], columns[shift, lasting] = np.mean(apart, axis=0)
+    assert rows[1.0, 0.0] > 2.0 * rows[0.0, 0.0]
+    assert columns[1.0, 0.0] > 2.0 * columns[0.0, 0.0]
+    # What lasts is the same by day and by night.
+    assert rows[1.0, 1.0] < 0.7 * rows[1.0, 0.0]
+    assert columns[1.0, 1.0] < 0.7 * columns[1.0, 0.0]
 
 
 @pytest.mark.parametrize(("length", "grain"), [(0.0, 0.0), (4.0, 0.0), (4.0, 0.4), (300.0, 0.0)])

@@ -32,6 +32,7 @@ class Look:
     noise_memory: float  # frames over which the query's noise stays alike
     noise_grain: float  # share of the noise's variance that is new in each frame
     shift: float  # length of a condition's constant vector, relative to a descriptor's
+    lasting: float  # share of its variance that is the same in all conditions
     bend: float  # > 0 stretches high scores, < 0 squeezes them, 0 leaves the cosine
     offset: float  # raw score of an average match
     scale: float  # raw score units per standard deviation
@@ -91,6 +92,9 @@ def write_scores(
     common = _unit(rng.standard_normal(size, dtype=np.float32)) * math.sqrt(size)
     turn = rng.standard_normal((competence.size, size), dtype=np.float32)
     lean = rng.uniform(0.0, MOST_LEAN, (competence.size, 1)).astype(np.float32)
+    if look.lasting:
+        always = rng.standard_normal(size, dtype=np.float32)
+        turn, lean = _mix(turn, always, look.lasting), _mix(lean, lean[:1], look.lasting)
     shift = (look.shift * math.sqrt(size)) * _unit(turn + lean * common)  # (C, D)
     level = competence[world.condition][:, None]  # (Q, 1)
     seen = _mix(noise, _between(places, world.seen), np.square(level))

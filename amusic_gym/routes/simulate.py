@@ -72,6 +72,7 @@ LIMITS: dict[str, Range] = {
     "noise_memory": (0, math.inf),
     "noise_grain": (0, 1),
     "shift": (0, 100),
+    "lasting": (0, 1),
     "bend": (-1, 1),
     "offset": (-1e6, 1e6),
     "scale": (1e-6, 1e6),
@@ -133,9 +134,10 @@ class Simulation:
     aliasing: Range = (0.2, 0.95)
     bland: Range = (0.0, 1.5)
     base: Range = (0.3, 2.0)
-    noise_memory: Range = (2.0, 20.0)
-    noise_grain: Range = (0.0, 0.5)
-    shift: Range = (0.3, 1.5)
+    noise_memory: Range = (0.5, 5.0)
+    noise_grain: Range = (0.1, 0.6)
+    shift: Range = (0.5, 2.0)
+    lasting: Range = (0.5, 1.0)
     bend: Range = (-0.3, 0.45)
     offset: Range = (0.1, 0.9)
     scale: Range = (0.005, 0.07)
@@ -367,6 +369,7 @@ _PLANTED = Look(
     noise_memory=0.5,
     noise_grain=0.5,
     shift=0.3,
+    lasting=0.0,
     bend=0.0,
     offset=0.5,
     scale=0.05,

@@ -30,6 +30,7 @@ MEASURES: dict[str, str] = {
     "along_map": "correlation of wrong places' z with the next place's, same frame",
     "along_diagonal": "correlation of wrong places' z with the next place's, next frame",
     "hubness": "deviation of the places' mean z (hubs, voids)",
+    "hubs_last": "correlation of the places' mean z in the two halves of the route",
     "row_shift": "deviation of row means, in deviations within a row",
 }
 
@@ -67,6 +68,7 @@ def describe(
         "along_map": _lagged(z, matrix, 0, 1),
         "along_diagonal": _lagged(z, matrix, 1, 1),
         "hubness": float(z.mean(axis=0).std()),
+        "hubs_last": _halves(z),
         "row_shift": float(scores.mean(axis=1).std() / max(scores.std(axis=1).mean(), 1e-12)),
     }
     for name, predicted in predictions.items():
@@ -108,6 +110,14 @@ def _lagged(z: NDArray[np.float64], truth: NDArray[np.bool_], frames: int, place
     late = (slice(frames, None), slice(places, None))
     both = ~truth[early] & ~truth[late]
     return _correlation(z[early][both], z[late][both])
+
+
+def _halves(z: NDArray[np.float64]) -> float:
+    """Correlation of the places' mean z-scores in the first and second half of the route."""
+    middle = len(z) // 2
+    if middle == 0:
+        return float("nan")
+    return _correlation(z[:middle].mean(axis=0), z[middle:].mean(axis=0))
 
 
 def _correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
