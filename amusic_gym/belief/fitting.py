@@ -31,18 +31,18 @@ class Limits(NamedTuple):
 
 
 SEARCHED: dict[str, Limits] = {
-    "sharpness": Limits(0.05, 6.0, True),
+    "sharpness": Limits(0.1, 6.0, True),
     "convexity": Limits(0.0, 2.0, False),
     "most": Limits(2.0, 12.0, True),
     "trust": Limits(0.2, 0.98, False),
     "sharper": Limits(0.02, 0.98, False),
     "sharpest": Limits(0.02, 0.98, False),
     "learn": Limits(0.02, 1.0, True),
-    "relearn": Limits(1e-4, 0.1, True),
+    "relearn": Limits(1e-4, 0.3, True),
     "hub": Limits(0.0, 1.0, False),
     "hub_spread": Limits(0.0, 1.0, False),
     "hub_count": Limits(1.0, 100.0, True),
-    "hub_memory": Limits(50.0, 2000.0, True),
+    "hub_memory": Limits(20.0, 2000.0, True),
     "novel": Limits(0.01, 1.5, True),
     "repeat": Limits(0.0, 1.0, False),
     "contrast": Limits(0.0, 2.0, False),
@@ -59,9 +59,8 @@ SEARCHED: dict[str, Limits] = {
     "leave": Limits(1e-3, 0.05, True),
     "settle": Limits(1e-4, 0.05, True),
 }
-"""Limits of every rate, which are assumptions: jumps and stops keep a steady robot from being
-believed in for ever, since simulated ones are carried away less suddenly than real ones; and a
-place that attracts queries, or a technique that is good, stays so for a while."""
+"""Limits of every rate. Those of jumps and stops keep a steady robot from being believed in for
+ever: simulated ones are carried away less suddenly than real ones."""
 
 PLAIN = Rates(
     sharpness=0.25,
