@@ -113,7 +113,7 @@ class TrainingConfig:
     n_envs: int = 64
     statistic: str = SICSettings.statistic
     reward: str = "estimated"
-    compute_weights: tuple[float, float] = (0.03, 6.0)
+    compute_weights: tuple[float, float] = (0.01, 6.0)
     simulation: dict[str, Any] = field(default_factory=dict)
     pool: int = 768
     n_steps: int = 64

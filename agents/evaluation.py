@@ -13,7 +13,7 @@ from amusic_gym.routes.simulate import POPULATION
 from amusic_gym.sources import SimulatedRoutes
 
 HELD_OUT_SEED = 2_000_000_000
-COMPUTE_WEIGHTS = (0.05, 0.2, 0.5, 1.0, 2.0)
+COMPUTE_WEIGHTS = (0.03, 0.1, 0.3, 1.0, 3.0)
 
 
 class Evaluation(NamedTuple):

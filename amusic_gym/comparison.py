@@ -24,7 +24,7 @@ from amusic_gym.rollout import rollout
 from amusic_gym.settings import SICSettings
 from amusic_gym.trace import Trace
 
-COMPUTE_WEIGHTS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.8, 1.5)
+COMPUTE_WEIGHTS = (0.01, 0.05, 0.15, 0.3, 0.6, 1.0, 2.0, 6.0)
 """The compute weights λ that a learned selector is run with where none are named."""
 
 MOST_TECHNIQUES = 6

@@ -1,9 +1,9 @@
 """Train the selector that ships, from its seed, and say whether it came out as it ships.
 
 A cascade is chosen for every part of the range of λ, imitated, and the imitation goes on learning
-with PPO; all of it on simulated routes. The run folder is ``--out``; ``--ship`` puts its selector
-into ``agents/pretrained``, unless the one that is there does better. A run that was stopped goes on
-where it was.
+with PPO; all of it on simulated routes, by their ground truth. The run folder is ``--out``;
+``--ship`` puts its selector into ``agents/pretrained``, unless the one that is there does better. A
+run that was stopped goes on where it was.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 TIMESTEPS = 2_000_000
 SEED = 0
+REWARD = "ground_truth"
+"""Of the simulated routes: a selector that is rewarded with p̂ learns to please it."""
 
 
 def learn(
@@ -134,7 +136,9 @@ def main(arguments: list[str] | None = None) -> None:
 
     from agents.config import training_config
 
-    config = training_config(algorithm="imitation+ppo", timesteps=given.timesteps, seed=given.seed)
+    config = training_config(
+        algorithm="imitation+ppo", timesteps=given.timesteps, seed=given.seed, reward=REWARD
+    )
     learn(given.out, config)
     same = is_same(given.out, SHIPPED)
     words = "the selector that ships" if same else "not the selector that ships, bit for bit"

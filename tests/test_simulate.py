@@ -161,6 +161,18 @@ def test_conditions_change_who_is_good() -> None:
     assert np.mean(changes) > 2.0 * np.mean(quiet)
 
 
+def test_noise_that_lasts_is_told_from_hubs() -> None:
+    rng = np.random.default_rng(0)
+    slow = np.repeat(rng.normal(size=(10, 40)), 20, axis=0)  # the same for 20 frames
+    hubs = 5.0 * rng.normal(size=40) + rng.normal(size=(200, 40))
+    truth = {"tolerance": 1, "ground_truth": np.arange(200) // 5}
+    bank = ScoreBank(np.stack([slow, hubs]), ["A", "B"], [1.0, 1.0], **truth)
+    assert 0.4 < describe(bank, 0, {})["noise_lasts"] < 0.7  # 12 of 20 frames
+    assert abs(describe(bank, 1, {})["noise_lasts"]) < 0.1
+    short = ScoreBank(hubs[None, :5], ["A"], [1.0], tolerance=1, ground_truth=np.arange(5))
+    assert np.isnan(describe(short, 0, {})["noise_lasts"])
+
+
 def test_hubs_last_where_both_halves_prefer_the_same_places() -> None:
     rng = np.random.default_rng(0)
     hubs = rng.normal(size=40)

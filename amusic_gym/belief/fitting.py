@@ -37,12 +37,12 @@ SEARCHED: dict[str, Limits] = {
     "trust": Limits(0.2, 0.98, False),
     "sharper": Limits(0.02, 0.98, False),
     "sharpest": Limits(0.02, 0.98, False),
-    "learn": Limits(0.02, 1.0, True),
-    "relearn": Limits(1e-4, 0.3, True),
+    "learn": Limits(0.02, 0.5, True),
+    "relearn": Limits(1e-4, 0.05, True),
     "hub": Limits(0.0, 1.0, False),
     "hub_spread": Limits(0.0, 1.0, False),
     "hub_count": Limits(1.0, 100.0, True),
-    "hub_memory": Limits(20.0, 2000.0, True),
+    "hub_memory": Limits(100.0, 2000.0, True),
     "novel": Limits(0.01, 1.5, True),
     "repeat": Limits(0.0, 1.0, False),
     "contrast": Limits(0.0, 2.0, False),
@@ -59,8 +59,10 @@ SEARCHED: dict[str, Limits] = {
     "leave": Limits(1e-3, 0.05, True),
     "settle": Limits(1e-4, 0.05, True),
 }
-"""Limits of every rate. Those of jumps and stops keep a steady robot from being believed in for
-ever: simulated ones are carried away less suddenly than real ones."""
+"""Limits of every rate, which are assumptions. Those of jumps and stops keep a steady robot from
+being believed in for ever: simulated ones are carried away less suddenly than real ones. Those of
+``hub_memory``, ``learn`` and ``relearn`` say that a place that attracts queries, or a technique
+that is good, stays so: on recordings for longer than on simulated routes (docs/simulation.md)."""
 
 PLAIN = Rates(
     sharpness=0.25,
@@ -74,7 +76,7 @@ PLAIN = Rates(
     hub=0.85,
     hub_spread=0.8,
     hub_count=2.0,
-    hub_memory=100.0,
+    hub_memory=150.0,
     novel=1.0,
     repeat=0.3,
     contrast=1.0,

@@ -31,6 +31,7 @@ MEASURES: dict[str, str] = {
     "along_diagonal": "correlation of wrong places' z with the next place's, next frame",
     "hubness": "deviation of the places' mean z (hubs, voids)",
     "hubs_last": "correlation of the places' mean z in the two halves of the route",
+    "noise_lasts": "correlation of wrong places' z, without the place's mean, 8 frames on",
     "row_shift": "deviation of row means, in deviations within a row",
 }
 
@@ -69,6 +70,7 @@ def describe(
         "along_diagonal": _lagged(z, matrix, 1, 1),
         "hubness": float(z.mean(axis=0).std()),
         "hubs_last": _halves(z),
+        "noise_lasts": _lagged(z - z.mean(axis=0), matrix, 8, 0),
         "row_shift": float(scores.mean(axis=1).std() / max(scores.std(axis=1).mean(), 1e-12)),
     }
     for name, predicted in predictions.items():
@@ -106,7 +108,7 @@ def _mean(lengths: list[int]) -> float:
 def _lagged(z: NDArray[np.float64], truth: NDArray[np.bool_], frames: int, places: int) -> float:
     """Correlation of wrong places' z-scores with those some frames and places on."""
     queries, references = z.shape
-    early = (slice(queries - frames), slice(references - places))
+    early = (slice(max(queries - frames, 0)), slice(max(references - places, 0)))
     late = (slice(frames, None), slice(places, None))
     both = ~truth[early] & ~truth[late]
     return _correlation(z[early][both], z[late][both])
