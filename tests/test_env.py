@@ -229,10 +229,12 @@ def test_idle_moves_the_belief_on(bank):
         assert info["idle"]
         assert info["technique"] == -1
         assert info["seconds"] == 0.0
-        assert info["prediction"] == last["prediction"] + 1
+        assert 0 <= info["prediction"] - last["prediction"] <= 2
         assert reward == info["p_correct"]
         assert info["p_correct"] < sure["p_correct"]
         last = info
+    # It drove steadily until then, and is believed to drive on.
+    assert abs(last["prediction"] - (sure["prediction"] + 28)) <= 3
 
 
 @pytest.mark.parametrize("statistic", STATISTICS)
@@ -243,7 +245,8 @@ def test_idle_at_the_maps_end_stays_there(statistic):
     places = [info["prediction"] for info in infos]
     infos = infos_of(env, [[1, 1, 1]] * 25 + [[0, 0, 0]] * 4, options={"start": 1})
     places += [info["prediction"] for info in infos]
-    assert max(places) == 29
+    # The belief allows for a robot that has slowed down.
+    assert 29 - 3 * (statistic == "belief") <= max(places) <= 29
     scores = np.zeros((1, 4, 3))
     scores[:, :, 2] = 1.0
     end = ScoreBank(scores, ["A"], [1.0], tolerance=0, ground_truth=[2, 2, 2, 2])

@@ -107,7 +107,7 @@ def test_belief_study_writes_a_line_per_part(tmp_path):
     done = script("belief_study.py", "--simulated", 1, "--seeds", 1, "--out", out)
     assert done.returncode == 0, done.stderr
     lines = out.read_text("utf-8").splitlines()
-    assert len(lines) == 2 + 3 + 11
+    assert len(lines) == 2 + 3 + 12
     assert all(line.count("|") == 8 for line in lines)
     refused = script("belief_study.py", "--out", out)
     assert refused.returncode == 2

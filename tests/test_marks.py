@@ -66,7 +66,7 @@ def test_a_run_folder_says_whether_its_selector_learned_from_the_truth(runs, tmp
     folders = {name: Path(spec.removeprefix("ppo:")) for name, spec in runs.items()}
     assert learned_from_truth(folders["told"])
     assert not learned_from_truth(folders["alone"])
-    assert not learned_from_truth(SHIPPED)
+    assert learned_from_truth(SHIPPED)
     for training in ({}, None):  # still loads, so it is not refused here
         config = {**read_config(folders["told"]), "training": training}
         write_config(tmp_path, config)
