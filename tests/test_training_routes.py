@@ -1,0 +1,54 @@
+"""Training routes drawn from other ranges than the population's: an ablation's routes."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from small_training import SCRIPTS
+
+from agents.config import TrainingConfig, stored, stored_config
+from agents.run_folder import write_config
+from agents.training import simulated_routes
+from amusic_gym.routes.simulate import POPULATION
+
+if str(SCRIPTS) not in sys.path:
+    sys.path.insert(0, str(SCRIPTS))
+
+import train  # noqa: E402  (found by the line above)
+
+
+def test_words_of_the_command_line_become_ranges():
+    words = ["retimed=0", "wander=0:0.5", "motion=varied"]
+    assert train.ranges(words) == {"retimed": 0, "wander": (0, 0.5), "motion": "varied"}
+
+
+def test_the_given_ranges_replace_those_of_the_population_and_no_others():
+    config = TrainingConfig(simulation={"retimed": 0.0, "techniques": (3, 3)}, pool=4)
+    population = config.population()
+    assert (population.retimed, population.techniques) == (0.0, (3, 3))
+    assert population.queries == POPULATION.queries
+    assert TrainingConfig().population() == POPULATION
+    bank, _ = simulated_routes(config).sample(np.random.default_rng(0), 0)[:2]
+    assert len(bank.techniques) == 3
+
+
+def test_a_run_folder_keeps_them(tmp_path):
+    config = TrainingConfig(simulation={"wander": (0.0, 0.5), "retimed": 0.2})
+    write_config(tmp_path, json.loads(json.dumps(stored(config, [], None))))
+    assert stored_config(tmp_path) == config
+
+
+@pytest.mark.parametrize(
+    ("simulation", "message"),
+    [
+        ({"retimd": 0.0}, "unknown range of the simulation 'retimd': did you mean 'retimed'"),
+        ({"retimed": 2.0}, "retimed"),
+        ({"wander": (1.0, 0.0)}, "wander"),
+    ],
+)
+def test_wrong_ranges_are_refused(simulation, message):
+    with pytest.raises(ValueError, match=message):
+        TrainingConfig(simulation=simulation)
