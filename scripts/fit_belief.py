@@ -74,7 +74,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--routes", type=int, default=1200, help="simulated routes (1200)")
     parser.add_argument("--batch", type=int, default=250, help="of them per generation (250)")
     parser.add_argument("--held-out", type=int, default=200, help="and others to judge by (200)")
-    parser.add_argument("--generations", type=int, default=50, help="of the search (50)")
+    parser.add_argument("--generations", type=int, default=30, help="of the search (30)")
     parser.add_argument("--seed", type=int, default=30, help="of the routes (30)")
     parser.add_argument("--threads", type=int, default=2, help="(2)")
     parser.add_argument("--start", type=Path, help="rates to begin with (plain ones)")

@@ -80,11 +80,11 @@ def learn(rates: Rates, known: Any, size: int, row: Any, words: Any, looks: Any)
     none, once, twice, fourfold = 0.0, 0.0, 0.0, 0.0
     for place in range(size):
         x = row[place]
-        apart = looks[place] / likelihood(words, x)
-        none += apart
-        once += apart * x
-        twice += apart * (x * x)
-        fourfold += apart * ((x * x) * (x * x))
+        others = looks[place] / likelihood(words, x)
+        none += others
+        once += others * x
+        twice += others * (x * x)
+        fourfold += others * ((x * x) * (x * x))
     exponent = rates.learn * known.weight
     once = known.once * (words.norm_once * once / none) ** exponent
     twice = known.twice * (words.norm_twice * twice / none) ** exponent
