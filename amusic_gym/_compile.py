@@ -10,19 +10,20 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from numba import njit, types
-from numba.core import cgutils
-from numba.extending import intrinsic
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 KERNEL_SOURCES = (
     "_compile.py",
+    "_tables.py",
     "settings.py",
     "rows.py",
     "sic.py",
     "observation.py",
+    "records.py",
     "belief/places.py",
     "dynamics.py",
+    "selection.py",
 )
 
 INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
@@ -87,28 +88,32 @@ def inner(function: Function) -> Function:
     It has no way in from Python, which makes it sooner compiled, and is cached with its callers.
     Inlining pays: without it, a third of a step went into counting references to array views.
     """
-    compiled_function: Function = _njit(**INNER, forceinline=True)(function)
-    return compiled_function
+    return _once(_njit(**INNER, forceinline=True)(function))
 
 
 def apart(function: Function) -> Function:
     """As :func:`inner`, but kept out of its callers' code: for what runs rarely."""
-    compiled_function: Function = _njit(**INNER)(function)
-    return compiled_function
+    return _once(_njit(**INNER)(function))
 
 
-def _pointer(typing_context: Any, address: Any) -> Any:
-    """Turn an integer address into a pointer for ``numba.carray``.
+def spliced(function: Function) -> Function:
+    """As :func:`inner`, but copied into its callers' source, as it were.
 
-    Routes of one batch lie in different banks of different size; a table of addresses lets one
-    compiled loop visit all of them. Whoever stores an address also keeps its array alive. The
-    first parameter is Numba's.
+    Numba optimises the code of a function again in each of its callers; of functions that call
+    one another in turn, each once more. One that only calls others is better not compiled at all.
     """
-
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.inttoptr(arguments[0], cgutils.voidptr_t)
-
-    return types.voidptr(address), codegen
+    return _once(_njit(**INNER, inline="always")(function))
 
 
-pointer: Any = intrinsic(_pointer)
+def _once(dispatcher: Any) -> Any:
+    """Let a dispatcher take a constant for any other number of its type.
+
+    Else Numba compiles a function anew for every constant that it is called with.
+    """
+    resolve = dispatcher.get_call_template
+
+    def get_call_template(args: Any, kws: Any) -> Any:
+        return resolve([types.unliteral(arg) for arg in args], kws)
+
+    dispatcher.get_call_template = get_call_template
+    return dispatcher

@@ -11,7 +11,7 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from amusic_gym.pictures.viewer import viewer_for
-from amusic_gym.task import RENDER_FPS, RENDER_MODES, Infos, Task, as_seed, first_of
+from amusic_gym.task import RENDER_FPS, RENDER_MODES, Infos, Task, as_seed
 
 
 class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
@@ -140,7 +140,6 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
         self.observation_space = self.task.observation_space
         self.action_space = self.task.action_space
         self._running = False
-        self._everyone = np.ones(1, np.bool_)
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
@@ -157,7 +156,7 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
         out = self.task.episodes.look()
         if self._viewer is not None:
             self._viewer.look()
-        return out.observation[0], first_of(self.task.infos(out))
+        return out.observation[0], self.task.info(out)
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, Infos]:
         """Run the chosen techniques on the next frame.
@@ -169,7 +168,8 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
         if not self._running:
             raise ResetNeeded("no episode is running; call reset() first, and after every end")
         actions = self.task.check_actions(action, ())
-        out, rewards, terminated, truncated, infos = self.task.step(self._everyone, actions)
+        out, rewards, terms = self.task.step(actions)
+        terminated, truncated = self.task.ends(out)
         self._running = not (terminated[0] or truncated[0])
         if self._viewer is not None:
             self._viewer.look()
@@ -178,7 +178,7 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
             float(rewards[0]),
             bool(terminated[0]),
             bool(truncated[0]),
-            first_of(infos),
+            self.task.info(out, terms),
         )
 
     def render(self) -> str | NDArray[np.uint8] | None:

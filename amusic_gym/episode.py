@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -18,25 +19,31 @@ from amusic_gym import belief
 from amusic_gym.bank import ScoreBank
 from amusic_gym.belief import Minds
 from amusic_gym.calibration import coefficients
-from amusic_gym.dynamics import (
+from amusic_gym.dynamics import plan_routes, process_routes
+from amusic_gym.live import ENDLESS
+from amusic_gym.observation import declare_costs, observation_size
+from amusic_gym.records import (
+    BATCH,
     RESULT,
     ROUTE,
     SLOT,
     SLOT_RESULT,
+    Batch,
     Outcome,
     Rules,
     State,
-    step_routes,
 )
-from amusic_gym.live import ENDLESS
-from amusic_gym.observation import declare_costs, observation_size
 from amusic_gym.rows import RUN
+from amusic_gym.selection import select_routes
 from amusic_gym.settings import COVERAGE, SICSettings
 from amusic_gym.sic import SLACK, SUMS
 from amusic_gym.sources import Recording
 
 if TYPE_CHECKING:
     from amusic_gym.live_rows import LiveRows
+
+LINE = 64
+"""Bytes of a cache line, on which every array of an outcome begins."""
 
 ROOM = 1024
 """Frames that there is room for at first on such a route; it doubles when it is used up."""
@@ -90,7 +97,7 @@ class Episodes:
         self.settings = settings
         self.routes: list[Route | None] = [None] * num_routes
         self.drives: list[LiveRows | None] = [None] * num_routes  # of the live routes
-        self.indices: NDArray[np.int64] = np.full(num_routes, -1)  # (N,) of the routes' banks
+        self.is_live = False  # whether there is any
         self._broken = np.zeros(num_routes, np.bool_)  # (N,) cut short by an error
         self.rules = Rules(
             history=settings.history,
@@ -100,13 +107,17 @@ class Episodes:
             block=reselection,
             coverage=coverage,
             allow_idle=allow_idle,
-            calibration=coefficients(settings.statistic),
+            calibration=coefficients(settings.statistic).copy(),
         )
-        self.stepped = np.zeros(
-            num_routes, np.bool_
-        )  # (N,) routes that processed a frame in the last step
+        self.stepped = np.zeros(num_routes, np.bool_)  # (N,) processed a frame in the last step
+        self._wanted, self._lagging = np.zeros((2, num_routes), np.bool_)  # see belief.Hearing
+        self._actions = np.zeros((num_routes, self.action_size), np.bool_)
+        self._parts, size = self._outcome_parts()
+        self._memory = np.zeros(size, np.uint8)  # of the last step's outcome
+        self._out = self._outcome(self._memory)
         self._room = (1, 1, 1)  # places, frames and candidates that there is room for
         self.state, self.minds = self._allocate(*self._room)
+        self._lay_out()
 
     def _allocate(self, references: int, frames: int, candidates: int) -> tuple[State, Minds]:
         n, s = self.num_routes, self.slots
@@ -146,6 +157,30 @@ class Episodes:
         for name in ("minds", "witnesses", "belief", "hubs"):
             _keep(getattr(old_minds, name), getattr(minds, name))
         self.state, self.minds = new, minds
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        """Write the tables that the kernels read; to be done again when an array is replaced."""
+        state = self.state
+        batch = Batch(state, self.rules, self.stepped, self._actions, self._out)
+        self._batch = BATCH.write(batch)
+        self._address: int = self._batch.ctypes.data
+        hearing = belief.Hearing(
+            minds=self.minds,
+            active=self.stepped,
+            wanted=self._wanted,
+            lagging=self._lagging,
+            block=self.rules.block,
+            routes=state.routes,
+            slots=state.slots,
+            runs=state.runs,
+            ran=state.ran,
+            late=state.late,
+            statistics=state.statistics,
+            corrections=state.corrections,
+        )
+        self._hearing = belief.HEARING.write(hearing)
+        self._hearing_address: int = self._hearing.ctypes.data
 
     def begin(self, i: int, route: Route) -> None:
         """Start ``route`` as number ``i`` of the batch; nothing has run on it yet."""
@@ -156,9 +191,9 @@ class Episodes:
             if isinstance(bank, ScoreBank)
             else bank.drive(route.start, self.settings, self.rules.block)
         )
+        self.is_live = any(drive is not None for drive in self.drives)
         self._broken[i] = False
         self.routes[i] = route
-        self.indices[i] = route.index
         state = self.state
         for array in (state.sums[:, i], state.ran[i], state.prefix[i]):
             array.fill(0)
@@ -166,6 +201,7 @@ class Episodes:
         record[:] = np.zeros(1, ROUTE)
         record["frame"] = -1
         record["frames"] = route.frames
+        record["bank"] = route.index
         record["references"] = bank.references
         record["tolerance"] = bank.tolerance
         record["compute_weight"] = route.compute_weight
@@ -223,72 +259,66 @@ class Episodes:
                 what a live route cannot compute, or a step after such an error.
             FileNotFoundError: for a live route's image that is gone.
         """
-        out = self._outcome()
-        self.stepped = active
-        live = [i for i, drive in enumerate(self.drives) if drive is not None and active[i]]
-        if live:
-            self._step_live(live, actions, out)
-        elif self.rules.belief and active.any():
-            self._look_back(actions)
-            step_routes(self.state, self.rules, active, actions, True, False, out)
-            self._hear()
-            step_routes(self.state, self.rules, active, actions, False, True, out)
+        self._set(active, actions)
+        if self.is_live:
+            bad_rows = self._step_live()
         else:
-            step_routes(self.state, self.rules, active, actions, True, True, out)
-        bad = out.routes["bad_row"]
-        if bad.any():
-            raise ValueError(self._bad_row(bad))
+            self._plan([])
+            bad_rows = self._process()
+        out = self._copied()
+        if bad_rows:
+            raise ValueError(self._bad_row(out.routes["bad_row"]))
         return out
 
-    def _step_live(self, live: Sequence[int], actions: NDArray[np.bool_], out: Outcome) -> None:
+    def _set(self, active: NDArray[np.bool_], actions: NDArray[np.bool_] | None = None) -> None:
+        """Tell the kernels whom to step and how, and clear the outcome."""
+        self.stepped[:] = active
+        if actions is not None:
+            self._actions[:] = actions
+        self._memory.fill(0)
+
+    def _plan(self, live: Sequence[int]) -> None:
+        """Select where it is asked for, and decide what runs on the next frame."""
+        if self.rules.block and (live or self._actions[:, -1].any()):
+            if self.rules.belief:
+                self._look_back()
+            select_routes(self._address)
+        plan_routes(self._address)
+
+    def _process(self) -> int:
+        """Process what was planned; returns the number of routes with a row that is not finite."""
+        if self.rules.belief:
+            belief.hear_routes(self._hearing_address)
+        return process_routes(self._address)
+
+    def _step_live(self) -> int:
         """A step with live routes: let their techniques run between the plan and its processing."""
         if self._broken[self.stepped].any():
             raise ValueError("an error cut the last step short; call reset() before the next")
+        live = [i for i in np.flatnonzero(self.stepped) if self.drives[i] is not None]
         self._look_ahead(live)
         self._broken |= self.stepped
         live = [i for i in live if self.stepped[i]]
         for i in live:
-            self._run(i, self._missed(i) if self.rules.block and actions[i, -1] else [])
-        self._look_back(actions)
-        step_routes(self.state, self.rules, self.stepped, actions, True, False, out)
+            self._run(i, self._missed(i) if self.rules.block and self._actions[i, -1] else [])
+        self._plan(live)
         for i in live:
             frame = int(self.state.routes[i]["frame"]) + 1
-            self._run(i, [(s, frame) for s in np.flatnonzero(out.slots["ran"][i]).tolist()])
-        self._hear()
-        step_routes(self.state, self.rules, self.stepped, actions, False, True, out)
+            self._run(i, [(s, frame) for s in np.flatnonzero(self._out.slots["ran"][i]).tolist()])
+        bad_rows = self._process()
         self._broken &= ~self.stepped
+        return bad_rows
 
-    def _look_back(self, actions: NDArray[np.bool_]) -> None:
+    def _look_back(self) -> None:
         """Let the belief go through the last block again where a selection is asked for."""
-        if not self.rules.belief or not self.rules.block:
-            return
-        state = self.state
-        frames = state.routes["frame"]
-        live = np.array([drive is not None for drive in self.drives])
-        state.late.fill(0)
-        belief.look_back(
-            self.minds,
-            self.stepped & actions[:, -1] & (frames >= 0),
-            self.stepped & live,
-            state.routes,
-            state.slots,
-            self.rules.block,
-            state.runs,
-            state.ran,
-            state.late,
-            state.statistics,
-            state.corrections,
-        )
-
-    def _hear(self) -> None:
-        """Let the belief hear what runs on the next frame."""
-        if self.rules.belief:
-            state = self.state
-            belief.hear_routes(self.minds, self.stepped, state.routes, state.runs, state.ran)
+        frames, live = self.state.routes["frame"], [drive is not None for drive in self.drives]
+        self.state.late.fill(0)
+        self._wanted[:] = self.stepped & self._actions[:, -1] & (frames >= 0)
+        self._lagging[:] = self.stepped & live
+        belief.look_back(self._hearing_address)
 
     def _look_ahead(self, live: Sequence[int]) -> None:
         """Read the images of the next frame; routes whose source has ended take no step."""
-        self.stepped = self.stepped.copy()
         for i in live:
             drive, record = self.drives[i], self.state.routes[i]
             assert drive is not None
@@ -322,8 +352,9 @@ class Episodes:
 
     def look(self) -> Outcome:
         """Show every route as it is, without a step."""
-        nobody = np.zeros(self.num_routes, np.bool_)
-        return self.step(nobody, np.zeros((self.num_routes, self.action_size), np.bool_))
+        self._set(np.zeros(self.num_routes, np.bool_))
+        process_routes(self._address)
+        return self._copied()
 
     @property
     def action_size(self) -> int:
@@ -341,31 +372,38 @@ class Episodes:
             f" frame {route.start + frame}; mend the scores and write the bank again"
         )
 
-    def _outcome(self) -> Outcome:
+    def _outcome_parts(self) -> tuple[list[tuple[tuple[int, ...], Any, int]], int]:
+        """Shape, dtype and place in memory of each array of an outcome; bytes of them all."""
         n, s = self.num_routes, self.slots
-        return Outcome(
-            routes=np.zeros(n, RESULT),
-            slots=np.zeros((n, s), SLOT_RESULT),
-            corrections=np.zeros((n, s, self.rules.block)),
-            observation=np.zeros((n, observation_size(s)), np.float32),
-        )
+        parts, end = [], 0
+        for shape, dtype in (
+            ((n,), RESULT),
+            ((n, s), SLOT_RESULT),
+            ((n, s, self.rules.block), np.dtype(np.float64)),
+            ((n, observation_size(s)), np.dtype(np.float32)),
+        ):
+            parts.append((shape, dtype, end))
+            end += math.ceil(math.prod(shape) * dtype.itemsize / LINE) * LINE
+        return parts, end
 
-    def finished(self) -> NDArray[np.bool_]:
-        """(N,) whether each route's last frame has been processed."""
-        routes = self.state.routes
-        ended: NDArray[np.bool_] = routes["frame"] + 1 >= routes["frames"]
-        return ended
+    def _outcome(self, memory: NDArray[np.uint8]) -> Outcome:
+        """An outcome whose arrays share one piece of memory: copying that is copying them all.
 
-    def frames_seen(self) -> NDArray[np.int64]:
-        """(N,) frames processed since each route began."""
-        seen: NDArray[np.int64] = self.state.routes["frame"] + 1
-        return seen
+        To copy arrays of records one by one takes ten times as long.
+        """
+        return Outcome(*[np.ndarray(shape, dtype, memory, at) for shape, dtype, at in self._parts])
+
+    def _copied(self) -> Outcome:
+        """The outcome, in arrays of its own."""
+        return self._outcome(self._memory.copy())
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore a copy and write the addresses of its own banks' rows."""
         self.__dict__.update(state)
         minds, witnesses = self.minds.minds[0], self.minds.witnesses[0]  # views again
         self.state = self.state._replace(minds=minds, witnesses=witnesses)
+        self._out = self._outcome(self._memory)
+        self._lay_out()
         for i in range(self.num_routes):
             self._point(i)
 

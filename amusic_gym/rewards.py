@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from amusic_gym.names import suggest
 
 if TYPE_CHECKING:
-    from amusic_gym.dynamics import Outcome
+    from amusic_gym.records import Outcome
 
 
 class RewardInputs(NamedTuple):
@@ -35,7 +35,7 @@ Reward = Callable[[RewardInputs], Mapping[str, NDArray[np.float64]]]
 def estimated(inputs: RewardInputs) -> dict[str, NDArray[np.float64]]:
     """p̂ − λ · (seconds of the step / Σ seconds): needs no ground truth."""
     return {
-        "correctness": inputs.outcome.routes["p_correct"].copy(),
+        "correctness": inputs.outcome.routes["p_correct"],
         "compute": -inputs.compute_weight * inputs.outcome.routes["compute"],
     }
 

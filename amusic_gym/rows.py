@@ -7,10 +7,10 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import carray  # type: ignore[attr-defined]  # not in Numba's list of exports
 from numpy.typing import NDArray
 
-from amusic_gym._compile import apart, compiled, inner, pointer
+from amusic_gym._compile import apart, compiled, inner
+from amusic_gym._tables import view
 
 if TYPE_CHECKING:
     from amusic_gym.bank import ScoreBank
@@ -104,7 +104,7 @@ def entry_of(run: Any, frame: int) -> int:
     if run.entries == 0:
         entry: int = run.start + frame
     else:
-        entry = carray(pointer(run.entries + frame * 8), (1,), np.int64)[0]
+        entry = view(run.entries + frame * 8, 1, np.int64)[0]
     return entry
 
 
@@ -112,32 +112,32 @@ def entry_of(run: Any, frame: int) -> int:
 def row_at(run: Any, frame: int) -> Any:
     """Score row (R,) of a frame."""
     size = run.references
-    return carray(pointer(run.scores + entry_of(run, frame) * size * 4), (size,), np.float32)
+    return view(run.scores + entry_of(run, frame) * size * 4, size, np.float32)
 
 
 @inner
 def mean_at(run: Any, frame: int) -> Any:
     """Mean of a frame's row."""
-    return carray(pointer(run.mean + entry_of(run, frame) * 8), (1,), np.float64)
+    return view(run.mean + entry_of(run, frame) * 8, 1, np.float64)
 
 
 @inner
 def scale_at(run: Any, frame: int) -> Any:
     """1/σ of a frame's row."""
-    return carray(pointer(run.scale + entry_of(run, frame) * 8), (1,), np.float64)
+    return view(run.scale + entry_of(run, frame) * 8, 1, np.float64)
 
 
 @inner
 def top_at(run: Any, frame: int) -> Any:
     """Candidates (K,) of a frame, ranked."""
     size = run.candidates
-    return carray(pointer(run.top + entry_of(run, frame) * size * 4), (size,), np.int32)
+    return view(run.top + entry_of(run, frame) * size * 4, size, np.int32)
 
 
 @inner
 def ready_at(run: Any, frame: int) -> Any:
     """Whether the entries of a frame's row are filled."""
-    return carray(pointer(run.ready + entry_of(run, frame)), (1,), np.uint8)
+    return view(run.ready + entry_of(run, frame), 1, np.uint8)
 
 
 @inner

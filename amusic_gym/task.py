@@ -17,7 +17,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.checks import flag, number, whole
-from amusic_gym.dynamics import Outcome
+from amusic_gym.records import RESULT, Outcome
 from amusic_gym.episode import Episodes, Route
 from amusic_gym.live import ENDLESS
 from amusic_gym.names import suggest
@@ -27,24 +27,15 @@ from amusic_gym.settings import COVERAGE, SICSettings
 from amusic_gym.sources import BankLike, Recording, RouteSource, as_source, columns_for
 
 Infos = dict[str, Any]
+Terms = dict[str, NDArray[np.float64]]
 
 RESET_OPTIONS = ("bank", "start", "compute_weight")
 RENDER_MODES = ("ansi", "rgb_array", "human")
 RENDER_FPS = 10
 """Frames per second of videos, and the most that the window of "human" shows."""
 
-ROUTE_INFOS = (
-    "frame",
-    "prediction",
-    "confidence",
-    "p_correct",
-    "margin",
-    "technique",
-    "seconds",
-    "fallback",
-    "idle",
-)
-TECHNIQUE_INFOS = ("ran", "place", "statistic", "correction")
+ROUTE_INFOS = RESULT.names[: 1 + RESULT.names.index("compute_weight")]  # type: ignore[index,union-attr]
+TECHNIQUE_INFOS = ("ran", "place", "statistic", "correction", "present", "run_seconds")
 SELECTION_INFOS = ("tally", "selected", "late_runs")
 
 
@@ -121,6 +112,7 @@ class Task:
             allow_idle=flag("allow_idle", allow_idle),
         )
         self.block = block
+        self._everyone = np.ones(num_routes, np.bool_)
         self.observation_space = spaces.Box(*bounds(self.slots), dtype=np.float32)
         self.action_space = spaces.MultiBinary(self.episodes.action_size)
 
@@ -211,36 +203,40 @@ class Task:
         shape = (*batch, *self.action_space.shape)
         if given.shape != shape:
             raise ValueError(f"action of shape {given.shape}; the action space has {shape}")
-        if given.dtype != np.bool_:
-            wrong = (given != 0) & (given != 1)
-            if wrong.any():
-                raise ValueError(
-                    f"action value {given[wrong][0]}; {self.action_space} takes 0 and 1 only"
-                )
+        if given.dtype.kind in "bi" and given.itemsize == 1:  # stripped of 0 and 1, nothing is left
+            valid = not given.tobytes().strip(b"\0\1")
+        else:
+            valid = bool(((given == 0) | (given == 1)).all())
+        if not valid:
+            wrong = given[(given != 0) & (given != 1)][0]
+            raise ValueError(f"action value {wrong}; {self.action_space} takes 0 and 1 only")
         return given.astype(np.bool_).reshape(self.episodes.num_routes, -1)
 
     def step(
-        self, active: NDArray[np.bool_], actions: NDArray[np.bool_]
-    ) -> tuple[Outcome, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Infos]:
-        """One frame of the active routes: run techniques, correct, fuse, reward.
+        self, actions: NDArray[np.bool_], active: NDArray[np.bool_] | None = None
+    ) -> tuple[Outcome, NDArray[np.float64], Terms]:
+        """One frame of the active routes, or of all: run techniques, correct, fuse, reward.
 
         Returns:
-            Outcome, rewards, terminated, truncated, all with leading N, and the infos.
+            Outcome, rewards and their terms, all with leading N; 0 where no frame was processed.
         """
-        out = self.episodes.step(active, actions)
-        terms = self._terms(RewardInputs(out, self.compute_weight(), lambda: self.correct(out)))
-        if self.episodes.stepped is not active:  # a live route's source may have ended
+        out = self.episodes.step(self._everyone if active is None else active, actions)
+        weights = out.routes["compute_weight"]
+        terms = self._terms(RewardInputs(out, weights, lambda: self.correct(out)))
+        if active is not None or self.episodes.is_live:  # a source may have ended
             kept = self.episodes.stepped
             terms = {name: np.where(kept, term, 0.0) for name, term in terms.items()}
-        rewards = np.where(active, sum(terms.values()), 0.0)
-        terminated = active & self.episodes.finished()
-        truncated = np.zeros_like(terminated)
-        if self.episode_length is not None:
-            late = self.episodes.frames_seen() >= self.episode_length
-            truncated = active & late & ~terminated
-        return out, rewards, terminated, truncated, self.infos(out, terms)
+        return out, sum(terms.values(), np.zeros(len(out.routes))), terms
 
-    def _terms(self, inputs: RewardInputs) -> dict[str, NDArray[np.float64]]:
+    def ends(self, out: Outcome) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """(N,) whether each route has terminated, and whether it was truncated."""
+        terminated = out.routes["ended"].copy()
+        if self.episode_length is None:
+            return terminated, np.zeros_like(terminated)
+        late = out.routes["frame"] + 1 >= self.episode_length
+        return terminated, late & ~terminated
+
+    def _terms(self, inputs: RewardInputs) -> Terms:
         """Terms of the reward by name, each (N,); a single number holds for all routes."""
         terms = self.reward(inputs)
         if not isinstance(terms, Mapping) or not terms:
@@ -251,14 +247,9 @@ class Task:
 
     def _per_route(self, term: ArrayLike) -> NDArray[np.float64]:
         """A term as an array (N,) of its own."""
-        values = np.array(term, np.float64)
+        values = np.array(term, np.float64)  # a copy
         shape = (self.episodes.num_routes,)
         return values if values.shape == shape else np.array(np.broadcast_to(values, shape))
-
-    def compute_weight(self) -> NDArray[np.float64]:
-        """(N,) λ of each route."""
-        weights: NDArray[np.float64] = self.episodes.state.routes["compute_weight"].copy()
-        return weights
 
     def correct(self, out: Outcome) -> NDArray[np.bool_]:
         """(N,) whether the predictions are true places."""
@@ -278,27 +269,42 @@ class Task:
 
     # --- infos ----------------------------------------------------------------------------------
 
-    def infos(self, out: Outcome, terms: Mapping[str, NDArray[np.float64]] | None = None) -> Infos:
+    def infos(self, out: Outcome, terms: Terms | None = None) -> Infos:
         """Infos of the batch: name → array with leading N; the same names at every step."""
-        if terms is None:
-            zeros = np.zeros(self.episodes.num_routes)
-            inputs = RewardInputs(out, self.compute_weight(), lambda: zeros.astype(np.bool_))
-            terms = {name: np.zeros_like(zeros) for name in self._terms(inputs)}
-        slots = self.episodes.state.slots
-        infos: Infos = {name: out.routes[name].copy() for name in ROUTE_INFOS}
-        infos |= {name: out.slots[name].copy() for name in TECHNIQUE_INFOS}
-        infos["route"] = self.episodes.indices.copy()
-        infos["present"] = slots["present"].astype(np.bool_)
-        infos["run_seconds"] = slots["seconds"].copy()
-        infos["compute_weight"] = self.compute_weight()
-        infos["reward_terms"] = dict(terms)
+        routes, slots = out.routes, out.slots
+        infos: Infos = {name: routes[name].copy() for name in ROUTE_INFOS}
+        for name in TECHNIQUE_INFOS:
+            infos[name] = slots[name].copy()
+        infos["reward_terms"] = dict(self._no_terms(out) if terms is None else terms)
         if self.block:
             infos["selection"] = {
-                "happened": out.routes["happened"].copy(),
+                "happened": routes["happened"].copy(),
                 "corrections": out.corrections,
-                **{name: out.slots[name].copy() for name in SELECTION_INFOS},
+                **{name: slots[name].copy() for name in SELECTION_INFOS},
             }
         return infos
+
+    def info(self, out: Outcome, terms: Terms | None = None) -> Infos:
+        """Infos of a batch of one as a single environment gives them: plain numbers, (T,) arrays."""
+        numbers, slots = out.routes.item(), out.slots[0]
+        info: Infos = dict(zip(ROUTE_INFOS, numbers, strict=False))
+        for name in TECHNIQUE_INFOS:
+            info[name] = slots[name].copy()
+        given = self._no_terms(out) if terms is None else terms
+        info["reward_terms"] = {name: term.item() for name, term in given.items()}
+        if self.block:
+            info["selection"] = {
+                "happened": out.routes["happened"].item(),
+                "corrections": out.corrections[0],
+                **{name: slots[name].copy() for name in SELECTION_INFOS},
+            }
+        return info
+
+    def _no_terms(self, out: Outcome) -> Terms:
+        """Zeros in place of a reward's terms, before the first step."""
+        zeros = np.zeros(self.episodes.num_routes)
+        inputs = RewardInputs(out, out.routes["compute_weight"], lambda: zeros.astype(np.bool_))
+        return {name: np.zeros_like(zeros) for name in self._terms(inputs)}
 
     def describe(self, i: int) -> str:
         """One line on route ``i``, for ``render_mode="ansi"``."""
@@ -334,16 +340,6 @@ def as_seed(seed: int | None) -> int | None:
     if number < 0:
         raise ValueError(f"seed is {seed!r}; give a whole number >= 0")
     return number
-
-
-def first_of(infos: Infos) -> Infos:
-    """Infos of a batch of one as a single environment gives them: plain numbers and arrays."""
-    return {
-        name: first_of(value)
-        if isinstance(value, dict)
-        else (value[0] if value.ndim > 1 else value[0].item())
-        for name, value in infos.items()
-    }
 
 
 def masked(infos: Infos, mask: NDArray[np.bool_]) -> Infos:

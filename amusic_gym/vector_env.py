@@ -133,17 +133,17 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
         """
         self._check_running()
         checked = self.task.check_actions(actions, (self.num_envs,))
-        active = np.ones(self.num_envs, np.bool_)
-        if self.autoreset_mode is AutoresetMode.NEXT_STEP:
+        active = None
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._ended.any():
             active = ~self._ended
             for i in np.flatnonzero(self._ended):
                 self._begin(int(i))
-        out, rewards, terminated, truncated, infos = self.task.step(active, checked)
-        if not active.all():
-            for term in infos["reward_terms"].values():
-                term[~active] = 0.0
+        out, rewards, terms = self.task.step(checked, active)
+        terminated, truncated = self.task.ends(out)
+        if active is not None:
+            terminated, truncated = terminated & active, truncated & active
         self._ended = terminated | truncated
-        infos = masked(infos, np.ones(self.num_envs, np.bool_))
+        infos = masked(self.task.infos(out, terms), np.ones(self.num_envs, np.bool_))
         observation = out.observation
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
             observation, infos = self._restart(observation, infos)

@@ -48,7 +48,7 @@ def collect(banks: list[ScoreBank], statistic: str, candidates: int, act: Action
     )
     episodes, names = env.task.episodes, ["confidence", "margin"]
     if statistic == "belief":  # its confidence is a calibrated one
-        episodes.rules = episodes.rules._replace(calibration=UNCALIBRATED)
+        episodes.rules.calibration[:] = UNCALIBRATED
         names += ["said", "said_mean"]
     env.reset(options={"bank": np.arange(len(banks)), "start": 0})
     inputs, correct = [], []

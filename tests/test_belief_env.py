@@ -173,7 +173,7 @@ def test_a_batch_whose_routes_end_at_different_times(mode):
         singles[i].reset(seed=0, options={"bank": i})
     for action in actions:
         shown, rewards, ended, _, _ = batch.step(action)
-        indices = batch.task.episodes.indices
+        indices = batch.task.episodes.state.routes["bank"]
         for i, env in enumerate(singles):
             if waiting[i]:
                 own = env.reset(options={"bank": int(indices[i])})[0]

@@ -24,7 +24,7 @@ motion, whatever ran before. The rates were fitted on simulated routes only
 from __future__ import annotations
 
 from amusic_gym.belief.filter import hear_routes, look_back
-from amusic_gym.belief.memory import Minds, allocate, begin
+from amusic_gym.belief.memory import HEARING, Hearing, Minds, allocate, begin
 from amusic_gym.belief.rates import Rates, fitted, stored
 
-__all__ = ["Minds", "Rates", "allocate", "begin", "fitted", "hear_routes", "look_back", "stored"]
+__all__ = ["HEARING", "Hearing", "Minds", "Rates", "allocate", "begin", "fitted", "hear_routes", "look_back", "stored"]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from amusic_gym._compile import apart, inner
-from amusic_gym.belief.memory import REACH, Minds, copy_mind
+from amusic_gym._compile import inner, spliced
+from amusic_gym.belief.memory import REACH, Minds, copy_mind, hearing_at
 from amusic_gym.belief.motion import move
 from amusic_gym.belief.places import conclude, looks_of, places_of, testify, weigh_places
 from amusic_gym.belief.rates import LOCKED, WAYS, kernel
@@ -46,7 +46,7 @@ def hear_rows(minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any)
     return same
 
 
-@inner
+@spliced
 def weigh_rows(
     minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any, size: int, tolerance: int
 ) -> None:
@@ -70,7 +70,7 @@ def weigh_rows(
     weigh_places(now, prior, size)
 
 
-@inner
+@spliced
 def look_over(minds: Minds, which: int, i: int, frame: int, ran: Any, size: int) -> None:
     """Note what the rows said of the place in the end, and learn whom to trust."""
     mind, looks = minds.minds[which, i], minds.prior
@@ -97,7 +97,16 @@ def normalise(mind: Any, now: Any, whole: float, size: int) -> None:
             mind.steady += total(line[REACH:], size)
 
 
-@apart
+@inner
+def places_in(runs: Any) -> int:
+    """R: places of the map; slots without a technique have none."""
+    size = 0
+    for s in range(runs.size):
+        size = max(size, runs[s].references)
+    return size
+
+
+@spliced
 def filter_frame(
     minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any, tolerance: int
 ) -> None:
@@ -116,9 +125,7 @@ def filter_frame(
         tolerance: places off that still count as true.
     """
     rates, mind, belief = minds.rates, minds.minds[which, i], minds.belief[which, i]
-    size = 0
-    for s in range(ran.shape[0]):
-        size = max(size, runs[s].references)
+    size = places_in(runs)
     same = hear_rows(minds, which, i, frame, runs, ran)
     if frame > 0:
         rise = rates.jump_novel * (mind.strange - rates.jump_usual) if mind.strange > 0.0 else 0.0
@@ -135,7 +142,7 @@ def filter_frame(
     look_over(minds, which, i, frame, ran, size)
 
 
-@apart
+@spliced
 def hear(minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any, tolerance: int) -> None:
     """Prepare the rows of a frame and take them into the belief of route ``i``."""
     for s in range(ran.shape[0]):
@@ -148,72 +155,55 @@ def hear(minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any, tole
 
 
 @kernel
-def hear_routes(minds: Minds, active: Any, routes: Any, runs: Any, ran: Any) -> None:
+def hear_routes(address: int) -> None:
     """Take the next frame of every active route into its belief.
 
     Args:
-        minds: the batch's memory.
-        active: (N,) bool.
-        routes: (N,) ROUTE records: the last frame processed, and the tolerance.
-        runs: (N, S) RUN records.
-        ran: (N, S, Q) uint8, filled in for the next frame.
+        address: of a table of the layout ``HEARING``.
     """
-    for i in range(active.size):
-        if active[i]:
+    table = hearing_at(address)
+    minds, routes, runs, ran = table.minds, table.routes, table.runs, table.ran
+    for i in range(table.active.size):
+        if table.active[i]:
             hear(minds, 0, i, routes[i].frame + 1, runs[i], ran[i], routes[i].tolerance)
 
 
+@spliced
+def hear_again(table: Any, i: int, first: int, stop: int) -> None:
+    """Go through the frames from ``first`` to before ``stop`` with every row of route ``i``."""
+    minds, ran, slots = table.minds, table.ran, table.slots
+    for s in range(ran.shape[1]):
+        for frame in range(first, stop):
+            if slots[i, s].present and not ran[i, s, frame]:
+                table.late[i, s] += 1
+                ran[i, s, frame] = 1
+    copy_mind(minds, 1, 0, i)
+    for frame in range(first, stop):
+        hear(minds, 0, i, frame, table.runs[i], ran[i], table.routes[i].tolerance)
+        for s in range(ran.shape[1]):
+            known = minds.witnesses[0, i, s]
+            statistic = known.statistic if slots[i, s].present else -math.inf
+            table.statistics[i, frame - first, s] = statistic
+            table.corrections[i, s, frame - first] = known.correction
+
+
 @kernel
-def look_back(
-    minds: Minds,
-    wanted: Any,
-    lagging: Any,
-    routes: Any,
-    slots: Any,
-    block: int,
-    runs: Any,
-    ran: Any,
-    late: Any,
-    statistics: Any,
-    corrections: Any,
-) -> None:
-    """Run all techniques on the last frames of the routes ``wanted``, after the fact.
+def look_back(address: int) -> None:
+    """Run all techniques on the last frames of the routes that want it, after the fact.
 
     The belief before that block is kept apart, and so is brought up to it first; then the block is
     gone through again with every row.
 
     Args:
-        minds: the batch's memory, of two sets.
-        wanted: (N,) bool.
-        lagging: (N,) bool, routes whose lagged belief cannot wait, because their rows go.
-        routes: (N,) ROUTE records: the last frame processed, and the tolerance.
-        slots: (N, S) SLOT records: whether a technique is present.
-        block: M.
-        runs: (N, S) RUN records.
-        ran: (N, S, Q) uint8, changed.
-        late: (N, S) int64, filled with the runs after the fact.
-        statistics: (N, M, S) filled with every technique's statistic on the frames of the block.
-        corrections: (N, S, M) likewise with the corrections.
+        address: of a table of the layout ``HEARING``, with a memory of two sets.
     """
-    for i in range(wanted.size):
-        stop, tolerance = routes[i].frame + 1, routes[i].tolerance
-        first = max(0, stop - block)
-        if wanted[i] or lagging[i]:
+    table = hearing_at(address)
+    minds, routes = table.minds, table.routes
+    for i in range(table.wanted.size):
+        stop = routes[i].frame + 1
+        first = max(0, stop - table.block)
+        if table.wanted[i] or table.lagging[i]:
             for frame in range(minds.minds[1, i].frame + 1, first):
-                hear(minds, 1, i, frame, runs[i], ran[i], tolerance)
-        if not wanted[i]:
-            continue
-        for s in range(ran.shape[1]):
-            for frame in range(first, stop):
-                if slots[i, s].present and not ran[i, s, frame]:
-                    late[i, s] += 1
-                    ran[i, s, frame] = 1
-        copy_mind(minds, 1, 0, i)
-        for frame in range(first, stop):
-            hear(minds, 0, i, frame, runs[i], ran[i], tolerance)
-            for s in range(ran.shape[1]):
-                known = minds.witnesses[0, i, s]
-                statistics[i, frame - first, s] = (
-                    known.statistic if slots[i, s].present else -math.inf
-                )
-                corrections[i, s, frame - first] = known.correction
+                hear(minds, 1, i, frame, table.runs[i], table.ran[i], routes[i].tolerance)
+        if table.wanted[i]:
+            hear_again(table, i, first, stop)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.belief.filter import hear
-from amusic_gym.belief.memory import Minds, allocate, begin
+from amusic_gym.belief.memory import MINDS, allocate, begin, minds_at
 from amusic_gym.belief.rates import Rates, kernel
 from amusic_gym.rows import RUN
 
@@ -122,12 +122,12 @@ def _value(part: float, limits: Limits) -> float:
 
 @kernel
 def drive_route(
-    minds: Minds, runs: Any, ran: Any, truth: Any, tolerance: int, places: Any, beliefs: Any
+    address: int, runs: Any, ran: Any, truth: Any, tolerance: int, places: Any, beliefs: Any
 ) -> None:
     """Drive one route.
 
     Args:
-        minds: memory of one route, begun.
+        address: of a table of the layout ``MINDS``: the memory of one route, begun.
         runs: (T,) RUN records.
         ran: (T, Q) uint8.
         truth: (Q, R) bool.
@@ -135,6 +135,7 @@ def drive_route(
         places: (Q,) int64, filled with the predictions.
         beliefs: (Q, 2) filled with the belief around the prediction and in the true places.
     """
+    minds = minds_at(address)
     for frame in range(ran.shape[1]):
         hear(minds, 0, 0, frame, runs, ran, tolerance)
         share, whole = 0.0, 0.0
@@ -174,7 +175,9 @@ class Drive:
         places = np.zeros(self.bank.queries, np.int64)
         beliefs = np.zeros((self.bank.queries, 2))
         tolerance = self.bank.tolerance
-        drive_route(minds, self._runs, self.ran, self.truth, tolerance, places, beliefs)
+        table = MINDS.write(minds)
+        address = table.ctypes.data
+        drive_route(address, self._runs, self.ran, self.truth, tolerance, places, beliefs)
         return places, beliefs
 
     def score(self, rates: Rates) -> tuple[float, float]:

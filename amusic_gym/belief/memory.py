@@ -8,45 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym._compile import apart
-from amusic_gym.belief.rates import WAYS, Rates, share_of, trust_of
+from amusic_gym._tables import Layout, reader
+from amusic_gym.belief.rates import RATES, WAYS, Rates, first_trust, share
+from amusic_gym.records import MIND, ROUTE, SLOT, WITNESS
+from amusic_gym.rows import RUN
 
 REACH = 3
 """Most places that one frame moves, slack included; the arrays begin with so many zeros."""
-
-MIND = np.dtype(
-    [
-        ("side", np.int64),  # which of the two buffers holds the belief
-        ("frame", np.int64),  # last frame that it includes, -1 before the first
-        ("steady", np.float64),  # belief in steady motion
-        ("strange", np.float64),  # change of the rows over what is usual
-        ("place", np.int64),  # whose surroundings hold most of the belief
-        ("share", np.float64),  # how much of it
-        ("rival", np.float64),  # share of the best surroundings apart from these
-        ("said", np.float64),  # log-likelihood that the frame's rows gave the place, their sum
-        ("heard", np.int64),  # number of these rows
-    ]
-)
-"""Bookkeeping of one route's belief."""
-
-WITNESS = np.dtype(
-    [
-        ("count", np.float64),  # rows seen
-        ("last", np.int64),  # frame of the last one, -1: none
-        ("weight", np.float64),  # of the present row, ≤ 1
-        ("novelty", np.float64),  # running mean of 1 − correlation with the row before
-        ("contrast", np.float64),  # running mean of the rows' deviation
-        ("trust", np.float64),  # probability that its rows are informative, the sum of these:
-        ("once", np.float64),  # probability that they are, with sharpness 1,
-        ("twice", np.float64),  # ... 2
-        ("fourfold", np.float64),  # ... 4
-        ("place", np.int64),  # most probable place by this technique's row alone
-        ("statistic", np.float64),  # its log-odds
-        ("correction", np.float64),  # ... less those of the uncorrected match
-        ("margin", np.float64),  # log of its probability over that of the best rival
-        ("said", np.float64),  # log-likelihood that the row gave the place believed in
-    ]
-)
-"""What is known of one technique on one route."""
 
 VOICE = np.dtype(
     [
@@ -77,6 +45,65 @@ class Minds(NamedTuple):
     windows: NDArray[np.float64]  # (R,) scratch: sums of the belief within the tolerance
 
 
+MINDS = Layout(
+    "Minds",
+    {
+        "rates": RATES,
+        "minds": (MIND, 2),
+        "witnesses": (WITNESS, 3),
+        "belief": (np.float64, 5),
+        "hubs": (np.float64, 5),
+        "rows": (np.float64, 2),
+        "voices": (VOICE, 1),
+        "prior": (np.float64, 1),
+        "joint": (np.float64, 1),
+        "windows": (np.float64, 1),
+    },
+)
+"""How kernels see :class:`Minds`."""
+
+minds_at: Any = reader(MINDS)
+
+
+class Hearing(NamedTuple):
+    """What the belief of N routes reads and writes at a step."""
+
+    minds: Minds
+    active: NDArray[np.bool_]  # (N,) routes that hear their next frame
+    wanted: NDArray[np.bool_]  # (N,) routes that look back
+    lagging: NDArray[np.bool_]  # (N,) routes whose lagged belief cannot wait: their rows go
+    block: int  # M
+    routes: NDArray[Any]  # (N,) ROUTE: the last frame processed, and the tolerance
+    slots: NDArray[Any]  # (N, S) SLOT: whether a technique is present
+    runs: NDArray[Any]  # (N, S) RUN
+    ran: NDArray[np.uint8]  # (N, S, Q), filled in for the next frame
+    late: NDArray[np.int64]  # (N, S) filled with the runs after the fact
+    statistics: NDArray[np.float64]  # (N, M, S) filled with the statistics on the block's frames
+    corrections: NDArray[np.float64]  # (N, S, M) likewise with the corrections
+
+
+HEARING = Layout(
+    "Hearing",
+    {
+        "minds": MINDS,
+        "active": (np.bool_, 1),
+        "wanted": (np.bool_, 1),
+        "lagging": (np.bool_, 1),
+        "block": int,
+        "routes": (ROUTE, 1),
+        "slots": (SLOT, 2),
+        "runs": (RUN, 2),
+        "ran": (np.uint8, 3),
+        "late": (np.int64, 2),
+        "statistics": (np.float64, 3),
+        "corrections": (np.float64, 3),
+    },
+)
+"""How kernels see a :class:`Hearing`."""
+
+hearing_at: Any = reader(HEARING)
+
+
 def allocate(rates: Rates, sets: int, routes: int, slots: int, references: int) -> Minds:
     """Memory for a batch of routes on maps of at most ``references`` places."""
     return Minds(
@@ -102,14 +129,14 @@ def begin(minds: Minds, route: int, references: int) -> None:
     known = minds.witnesses[:, route]
     known[:] = np.zeros((), WITNESS)
     known["last"] = -1
-    known["once"], known["twice"], known["fourfold"] = trust_of(rates)
+    known["once"], known["twice"], known["fourfold"] = first_trust(rates)
     known["trust"] = rates.trust
     known["place"] = -1
     minds.hubs[:, route, :, 0] = 0.0
     minds.hubs[:, route, :, 1] = 1.0
     belief = minds.belief[:, route]
     belief[:] = 0.0
-    lines = np.array([share_of(rates, way) for way in range(WAYS)])
+    lines = np.array([share(rates, way) for way in range(WAYS)])
     belief[:, 0, :, REACH : REACH + references] = lines[:, None] / references
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from amusic_gym._compile import apart, inner
 from amusic_gym.belief.memory import REACH
 from amusic_gym.belief.rates import BINOMIAL, LOCKED, SHARES, SPEEDS, WANDER, WAYS, Rates, share_of
@@ -65,31 +63,26 @@ def mix(rates: Rates, belief: Any, size: int, fast: Any, even: Any) -> None:
 
 
 @inner
-def chances_of(rates: Rates, way: int, stand: float, out: Any) -> None:
-    """Chances (4,) that a way of moving goes 0, 1, 2 or 3 places in a frame."""
+def chances_of(rates: Rates, way: int, stand: float) -> tuple[float, float, float, float]:
+    """Chances that a way of moving goes 0, 1, 2 or 3 places in a frame."""
     slack = rates.slack
-    out[0], out[1], out[2], out[3] = 0.0, 0.0, 0.0, 0.0
     if way == 0:
-        out[0], out[1] = 1.0 - slack, slack
-    elif way == 1:
-        out[0], out[1] = 0.5, 0.5
-    elif way == 2:
-        out[0], out[1], out[2] = slack, 1.0 - 2.0 * slack, slack
-    elif way == 3:
-        out[1], out[2] = 0.5, 0.5
-    else:
-        out[1], out[2], out[3] = slack, 1.0 - 2.0 * slack, slack
-    out[0] *= stand
+        return (1.0 - slack) * stand, slack, 0.0, 0.0
+    if way == 1:
+        return 0.5 * stand, 0.5, 0.0, 0.0
+    if way == 2:
+        return slack * stand, 1.0 - 2.0 * slack, slack, 0.0
+    if way == 3:
+        return 0.0, 0.5, 0.5, 0.0
+    return 0.0, slack, 1.0 - 2.0 * slack, slack
 
 
 @inner
 def advance(rates: Rates, source: Any, target: Any, size: int, stand: float) -> tuple[float, float]:
     """Move every line of the belief on by a frame; returns the sums of all and of steady motion."""
-    chances = np.empty(4)
     whole, steady = 0.0, 0.0
     for way in range(SPEEDS):
-        chances_of(rates, way, stand, chances)
-        p0, p1, p2, p3 = chances[0], chances[1], chances[2], chances[3]
+        p0, p1, p2, p3 = chances_of(rates, way, stand)
         old, new = source[way], target[way]
         for i in range(REACH, REACH + size):
             new[i] = p0 * old[i] + p1 * old[i - 1] + p2 * old[i - 2] + p3 * old[i - 3]

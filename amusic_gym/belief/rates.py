@@ -7,10 +7,11 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from amusic_gym._compile import standalone
+from amusic_gym._compile import inner, standalone
+from amusic_gym._tables import Layout
 
 SOURCES = ("rates.py", "rows.py", "trust.py", "motion.py", "places.py", "memory.py", "filter.py")
-kernel = standalone("rows.py", *(f"belief/{name}" for name in SOURCES))
+kernel = standalone("_tables.py", "records.py", "rows.py", *(f"belief/{name}" for name in SOURCES))
 """Compiles what is called from Python here."""
 
 SPEEDS = 5
@@ -63,28 +64,33 @@ class Rates(NamedTuple):
     settle: float  # chance per frame that it begins
 
 
+RATES = Layout("Rates", dict.fromkeys(Rates._fields, float))
+"""How kernels see :class:`Rates`."""
+
 BINOMIAL = (1 / 64, 6 / 64, 15 / 64, 20 / 64, 15 / 64, 6 / 64, 1 / 64)
 """How often images look −3 … +3 places off, in the long run."""
 
 
-@kernel
-def share_of(rates: Rates, way: int) -> float:
+def share(rates: Rates, way: int) -> float:
     """Belief in a way of moving before anything is seen."""
     if way < SPEEDS:
-        share = (1.0 - rates.steady) * SHARES[way]
+        value = (1.0 - rates.steady) * SHARES[way]
     elif way == LOCKED:
-        share = rates.steady * (1.0 - rates.wandering)
+        value = rates.steady * (1.0 - rates.wandering)
     else:
-        share = rates.steady * rates.wandering * BINOMIAL[way - LOCKED - 1]
-    return share
+        value = rates.steady * rates.wandering * BINOMIAL[way - LOCKED - 1]
+    return value
 
 
-@kernel
-def trust_of(rates: Rates) -> tuple[float, float, float]:
+def first_trust(rates: Rates) -> tuple[float, float, float]:
     """Probabilities that a technique's rows are informative with sharpness 1, 2 and 4, at first."""
     sharper = rates.trust * rates.sharper
     sharpest = sharper * rates.sharpest
     return rates.trust - sharper, sharper - sharpest, sharpest
+
+
+share_of = inner(share)
+trust_of = inner(first_trust)
 
 
 @cache

@@ -1,0 +1,249 @@
+"""What a batch of routes remembers and what a step gives: the records, and how kernels see them.
+
+:class:`amusic_gym.episode.Episodes` owns the arrays; compiled functions take the address of a table
+(:mod:`amusic_gym._tables`) and read them by the same names.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym._tables import Layout, reader
+from amusic_gym.rows import RUN
+from amusic_gym.sic import SUMS
+
+LIVE, LAGGED = 0, 1
+"""Two sets of running sums: up to the last frame, and up to the block that may be re-selected."""
+
+ROUTE = np.dtype(
+    [
+        ("frame", np.int64),  # last frame processed, -1 after a reset
+        ("frames", np.int64),  # length of the episode's route
+        ("bank", np.int64),  # number of the bank in the environment's list
+        ("references", np.int64),
+        ("tolerance", np.int64),
+        ("total_seconds", np.float64),  # Σ seconds of the techniques present
+        ("compute_weight", np.float64),  # λ
+        ("weight_log", np.float64),  # λ as the observation has it
+        ("prediction", np.int64),  # -1 until there is one
+        ("confidence", np.float64),
+        ("margin", np.float64),
+        ("p_correct", np.float64),
+        ("p_correct_mean", np.float64),
+        ("continues", np.float64),  # 1 if the prediction moved on by one place
+        ("since_doubt", np.float64),
+        ("spent", np.float64),  # seconds to charge for this step; -1: those declared of its runs
+        ("compute", np.float64),  # seconds of this step / total_seconds
+        ("compute_mean", np.float64),
+        ("agreeing", np.float64),  # share of techniques whose diagonal is the fused one
+        ("steady", np.float64),  # belief in steady motion
+        ("said", np.float64),  # belief: log-likelihood that the frame's rows gave the prediction
+        ("said_mean", np.float64),  # running mean of its mean over the rows
+        ("strange", np.float64),  # how much more than usual the rows changed, as a ratio
+        ("size_log", np.float64),  # length of the map as the observation has it
+    ]
+)
+
+SLOT = np.dtype(
+    [
+        ("present", np.uint8),
+        ("seconds", np.float64),  # declared cost of one run
+        ("cost_share", np.float64),  # costs as the observation has them
+        ("cost_log", np.float64),
+        ("price", np.float64),
+        ("ran", np.uint8),  # on this frame
+        ("chosen", np.uint8),  # trusted by MuSIC on this frame
+        ("last_run", np.int64),  # -1 before the first
+        ("place", np.int64),  # corrected match of the last run
+        ("statistic", np.float64),
+        ("rival", np.float64),  # statistic of the technique's own best rival, -inf: none
+        ("margin", np.float64),  # over that rival
+        ("correction", np.float64),
+        ("agrees", np.float64),  # 1 if place, moved along its diagonal, is the fused one
+        ("agreement", np.float64),  # running mean of agrees over the runs
+        ("support", np.float64),  # z-score of the fused place in the last row
+        ("support_mean", np.float64),
+        ("stored", np.float64),  # what the last run said for the fused diagonal
+        ("trust", np.float64),  # belief: probability that a row is informative
+        ("sharpness", np.float64),  # belief: how sharp they are on average, of at most 1
+        ("weight", np.float64),  # belief: of the last row, less where it repeats the one before
+        ("lagged", np.int64),  # frames before this one are in the lagged sums
+    ]
+)
+
+MIND = np.dtype(
+    [
+        ("side", np.int64),  # which of the two buffers holds the belief
+        ("frame", np.int64),  # last frame that it includes, -1 before the first
+        ("steady", np.float64),  # belief in steady motion
+        ("strange", np.float64),  # change of the rows over what is usual
+        ("place", np.int64),  # whose surroundings hold most of the belief
+        ("share", np.float64),  # how much of it
+        ("rival", np.float64),  # share of the best surroundings apart from these
+        ("said", np.float64),  # log-likelihood that the frame's rows gave the place, their sum
+        ("heard", np.int64),  # number of these rows
+    ]
+)
+"""Bookkeeping of one route's belief."""
+
+WITNESS = np.dtype(
+    [
+        ("count", np.float64),  # rows seen
+        ("last", np.int64),  # frame of the last one, -1: none
+        ("weight", np.float64),  # of the present row, ≤ 1
+        ("novelty", np.float64),  # running mean of 1 − correlation with the row before
+        ("contrast", np.float64),  # running mean of the rows' deviation
+        ("trust", np.float64),  # probability that its rows are informative, the sum of these:
+        ("once", np.float64),  # probability that they are, with sharpness 1,
+        ("twice", np.float64),  # ... 2
+        ("fourfold", np.float64),  # ... 4
+        ("place", np.int64),  # most probable place by this technique's row alone
+        ("statistic", np.float64),  # its log-odds
+        ("correction", np.float64),  # ... less those of the uncorrected match
+        ("margin", np.float64),  # log of its probability over that of the best rival
+        ("said", np.float64),  # log-likelihood that the row gave the place believed in
+    ]
+)
+"""What is known of one technique on one route."""
+
+
+class Rules(NamedTuple):
+    """Numbers that hold for every route of a batch."""
+
+    history: int
+    gamma: float
+    evidence: bool
+    belief: bool
+    block: int  # M; 0: no re-select bit
+    coverage: float  # E
+    allow_idle: bool
+    calibration: NDArray[np.float64]  # (C,), see amusic_gym.calibration
+
+
+class State(NamedTuple):
+    """What a batch of routes remembers."""
+
+    routes: NDArray[Any]  # (N,) ROUTE
+    slots: NDArray[Any]  # (N, S) SLOT
+    runs: NDArray[Any]  # (N, S) RUN
+    marks: NDArray[Any]  # (2, N, S) SUMS
+    sums: NDArray[np.float64]  # (2, N, S, R + SLACK); one set only without re-selection
+    ran: NDArray[np.uint8]  # (N, S, Q)
+    prefix: NDArray[np.float64]  # (N, S, Q + 1) prefix weights
+    values: NDArray[np.float64]  # (S, K) scratch: statistics of the candidates
+    scratch: NDArray[np.float64]  # (K or S,) more scratch, whichever is longer
+    minds: NDArray[Any]  # (N,) MIND: what the belief came to; not used without
+    witnesses: NDArray[Any]  # (N, S) WITNESS: what each technique made of it
+    late: NDArray[np.int64]  # (N, S) runs that looking back at the last block took
+    statistics: NDArray[np.float64]  # (N, M, S) statistics on its frames
+    corrections: NDArray[np.float64]  # (N, S, M)
+
+
+RESULT = np.dtype(
+    [
+        ("frame", np.int64),
+        ("prediction", np.int64),
+        ("confidence", np.float64),
+        ("p_correct", np.float64),
+        ("margin", np.float64),  # 0 without a rival
+        ("technique", np.int64),  # trusted by MuSIC, -1: none
+        ("seconds", np.float64),  # cost of this step, after-the-fact runs included
+        ("fallback", np.bool_),  # the action was empty and the cheapest technique ran
+        ("idle", np.bool_),  # nothing ran
+        ("route", np.int64),  # number of the bank
+        ("compute_weight", np.float64),  # λ
+        ("compute", np.float64),  # seconds / Σ seconds
+        ("ended", np.bool_),  # the route's last frame has been processed
+        ("happened", np.bool_),  # a selection was done in this step
+        ("bad_row", np.int64),  # 0, or 1 + slot · frames + frame of a row that is not finite
+    ]
+)
+
+SLOT_RESULT = np.dtype(
+    [
+        ("ran", np.bool_),
+        ("place", np.int64),  # corrected match
+        ("statistic", np.float64),
+        ("correction", np.float64),
+        ("present", np.bool_),
+        ("run_seconds", np.float64),  # declared cost of one run
+        ("selected", np.bool_),  # in the set that a selection of this step chose
+        ("tally", np.int64),  # frames of the block on which MuSIC chose the technique
+        ("late_runs", np.int64),  # after-the-fact runs of this step
+    ]
+)
+
+
+class Outcome(NamedTuple):
+    """What one step gives; fresh arrays every time."""
+
+    routes: NDArray[Any]  # (N,) RESULT
+    slots: NDArray[Any]  # (N, S) SLOT_RESULT
+    corrections: NDArray[np.float64]  # (N, S, M) over the block of a selection
+    observation: NDArray[np.float32]  # (N, D)
+
+
+class Batch(NamedTuple):
+    """Everything that a step of N routes reads and writes."""
+
+    state: State
+    rules: Rules
+    active: NDArray[np.bool_]  # (N,) routes to step
+    actions: NDArray[np.bool_]  # (N, A); A = S, or S + 1 with the re-select bit last
+    out: Outcome
+
+
+BATCH = Layout(
+    "Batch",
+    {
+        "state": Layout(
+            "State",
+            {
+                "routes": (ROUTE, 1),
+                "slots": (SLOT, 2),
+                "runs": (RUN, 2),
+                "marks": (SUMS, 3),
+                "sums": (np.float64, 4),
+                "ran": (np.uint8, 3),
+                "prefix": (np.float64, 3),
+                "values": (np.float64, 2),
+                "scratch": (np.float64, 1),
+                "minds": (MIND, 1),
+                "witnesses": (WITNESS, 2),
+                "late": (np.int64, 2),
+                "statistics": (np.float64, 3),
+                "corrections": (np.float64, 3),
+            },
+        ),
+        "rules": Layout(
+            "Rules",
+            {
+                "history": int,
+                "gamma": float,
+                "evidence": bool,
+                "belief": bool,
+                "block": int,
+                "coverage": float,
+                "allow_idle": bool,
+                "calibration": (np.float64, 1),
+            },
+        ),
+        "active": (np.bool_, 1),
+        "actions": (np.bool_, 2),
+        "out": Layout(
+            "Outcome",
+            {
+                "routes": (RESULT, 1),
+                "slots": (SLOT_RESULT, 2),
+                "corrections": (np.float64, 3),
+                "observation": (np.float32, 2),
+            },
+        ),
+    },
+)
+"""How kernels see a :class:`Batch`."""
+
+batch_at: Any = reader(BATCH)
