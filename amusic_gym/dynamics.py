@@ -17,11 +17,11 @@ from amusic_gym.observation import SMOOTHING, observe
 from amusic_gym.records import LIVE, Outcome, Rules, State, batch_at
 from amusic_gym.rows import mean_at, prepare, row_at, scale_at, top_at
 from amusic_gym.sic import (
+    best_candidate,
     best_rival,
     first_best,
     push,
     ratio_of,
-    score_candidates,
     statistic_of,
     weigh,
     weight_of,
@@ -46,10 +46,9 @@ def correct_frame(state: State, rules: Rules, i: int, s: int, frame: int, out: O
     values = state.values[s]
     top = top_at(run, frame)
     history, gamma, evidence = rules.history, rules.gamma, rules.evidence
-    score_candidates(
-        sums, mark, top, prefix, frame, history, gamma, evidence, state.scratch, values
+    return best_candidate(
+        sums, mark, top, prefix, state.factors, frame, history, gamma, evidence, values
     )
-    return first_best(values, top.size)
 
 
 @inner
@@ -242,7 +241,7 @@ def stored_statistic(state: State, rules: Rules, i: int, s: int, place: int) -> 
     total = state.sums[LIVE, i, s, mark.origin - frame + place]
     ratio = ratio_of(rules.gamma, rules.evidence)
     weight = weight_of(prefix, frame, place, rules.history, ratio)
-    return statistic_of(total, weight, rules.evidence)
+    return statistic_of(total, weight, state.factors, rules.gamma, rules.evidence)
 
 
 @inner

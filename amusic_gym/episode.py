@@ -36,7 +36,7 @@ from amusic_gym.records import (
 from amusic_gym.rows import RUN
 from amusic_gym.selection import select_routes
 from amusic_gym.settings import COVERAGE, SICSettings
-from amusic_gym.sic import SLACK, SUMS
+from amusic_gym.sic import SLACK, SUMS, factors_of
 from amusic_gym.sources import Recording
 
 if TYPE_CHECKING:
@@ -133,7 +133,8 @@ class Episodes:
             ran=np.zeros((n, s, frames), np.uint8),
             prefix=np.zeros((n, s, frames + 1)),
             values=np.zeros((s, candidates)),
-            scratch=np.zeros(max(s, candidates)),
+            scratch=np.zeros(s),
+            factors=factors_of(min(self.settings.history, references) + 1, self.rules.evidence),
             minds=minds.minds[0],
             witnesses=minds.witnesses[0],
             late=np.zeros((n, s), np.int64),

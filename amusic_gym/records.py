@@ -134,7 +134,8 @@ class State(NamedTuple):
     ran: NDArray[np.uint8]  # (N, S, Q)
     prefix: NDArray[np.float64]  # (N, S, Q + 1) prefix weights
     values: NDArray[np.float64]  # (S, K) scratch: statistics of the candidates
-    scratch: NDArray[np.float64]  # (K or S,) more scratch, whichever is longer
+    scratch: NDArray[np.float64]  # (S,) more scratch
+    factors: NDArray[np.float64]  # (F + 2,), see sic.factors_of; no longer than the map needs
     minds: NDArray[Any]  # (N,) MIND: what the belief came to; not used without
     witnesses: NDArray[Any]  # (N, S) WITNESS: what each technique made of it
     late: NDArray[np.int64]  # (N, S) runs that looking back at the last block took
@@ -211,6 +212,7 @@ BATCH = Layout(
                 "prefix": (np.float64, 3),
                 "values": (np.float64, 2),
                 "scratch": (np.float64, 1),
+                "factors": (np.float64, 1),
                 "minds": (MIND, 1),
                 "witnesses": (WITNESS, 2),
                 "late": (np.int64, 2),

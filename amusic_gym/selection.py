@@ -36,6 +36,7 @@ def advance_lagged(state: State, rules: Rules, i: int, s: int, first: int) -> No
     sums, mark = state.sums[LAGGED, i, s], state.marks[LAGGED, i, s]
     for frame in range(slot.lagged, first):
         if ran[frame]:
+            prepare(run, frame)  # again in an unpickled environment, whose bank starts unprepared
             push(sums, mark, run, ran, frame, rules.history, rules.gamma)
     slot.lagged = first
 

@@ -26,6 +26,9 @@ ABSOLUTE_TIE = 1e-12
 SLACK = 512
 """Frames that the running sums move before their window is copied back."""
 
+DOUBLES = 8
+"""Numbers in a cache line."""
+
 SUMS = np.dtype(
     [
         ("origin", np.int64),  # place c at frame n has its sum at sums[origin - n + c]
@@ -39,24 +42,29 @@ SUMS = np.dtype(
 
 @inner
 def add_row(sums: Any, base: int, run: Any, frame: int, decay: float) -> None:
-    """Multiply the window's R sums by ``decay`` and add the frame's z-scores."""
-    prepare(run, frame)  # again in an unpickled environment, whose bank starts unprepared
+    """Multiply the window's R sums by ``decay`` and add the z-scores of a prepared row."""
     row = row_at(run, frame)
     mean = mean_at(run, frame)[0]
     scale = scale_at(run, frame)[0]
     window = sums[base : base + row.size]
-    if decay == 1.0:
-        for place in range(row.size):
-            window[place] += (row[place] - mean) * scale
-    else:
+    if decay != 1.0:
         for place in range(row.size):
             window[place] = decay * window[place] + (row[place] - mean) * scale
+        return
+    # Up to the next cache line first: the window moves by one place a frame, and storing across
+    # two lines takes twice as long.
+    head = min(-np.int64(window.ctypes.data // 8) % DOUBLES, row.size)
+    for place in range(head):
+        window[place] += (row[place] - mean) * scale
+    lines, scores = window[head:], row[head:]
+    for place in range(scores.size):
+        lines[place] += (scores[place] - mean) * scale
 
 
 @apart
 def remove_row(sums: Any, base: int, run: Any, frame: int, age: int, weight: float) -> None:
     """Take a frame's z-scores, ``age`` frames old, out of the sums of their diagonals."""
-    prepare(run, frame)  # as in add_row
+    prepare(run, frame)  # again in an unpickled environment, whose bank starts unprepared
     row = row_at(run, frame)
     mean = mean_at(run, frame)[0]
     scale = scale_at(run, frame)[0] * weight
@@ -66,13 +74,11 @@ def remove_row(sums: Any, base: int, run: Any, frame: int, age: int, weight: flo
 
 @apart
 def recentre(sums: Any, mark: Any, frame: int, size: int) -> None:
-    """Move the window of R sums to the right end when the next frame would leave the left one.
+    """Move the window of R sums to the right end, because ``frame`` has left the left one.
 
     Sums of diagonals that begin after ``mark.last`` are zero: nothing was added to them.
     """
     base = mark.origin - frame
-    if base >= 0:
-        return
     room = sums.size - size
     kept = size + base  # the window reaches -base places beyond the left end
     for place in range(kept - 1, -1, -1):
@@ -82,7 +88,7 @@ def recentre(sums: Any, mark: Any, frame: int, size: int) -> None:
     mark.origin = frame + room
 
 
-@compiled
+@inner
 def push(sums: Any, mark: Any, run: Any, ran: Any, frame: int, history: int, gamma: float) -> None:
     """Add the row of ``frame`` to the running sums and let rows older than F frames go.
 
@@ -95,7 +101,8 @@ def push(sums: Any, mark: Any, run: Any, ran: Any, frame: int, history: int, gam
         history: F.
         gamma: weight of a row per frame of age.
     """
-    recentre(sums, mark, frame, run.references)
+    if mark.origin < frame:
+        recentre(sums, mark, frame, run.references)
     base = mark.origin - frame
     decay = 1.0 if gamma == 1.0 or mark.last < 0 else gamma ** (frame - mark.last)
     add_row(sums, base, run, frame, decay)
@@ -141,48 +148,22 @@ def weight_of(prefix: Any, frame: int, place: int, history: int, ratio: float) -
     return weight
 
 
-@inner
-def statistic_of(total: float, weight: float, evidence: bool) -> float:
-    """Statistic of a diagonal's sum: Σwz/√Σw² (evidence) or Σwz/Σw (mean)."""
-    return total / math.sqrt(weight) if evidence else total / weight
+def factors_of(most: int, evidence: bool) -> NDArray[np.float64]:
+    """(most + 1,) factors that make statistics of the sums of so many rows, where γ = 1.
 
-
-@compiled
-def score_candidates(
-    sums: Any,
-    mark: Any,
-    top: Any,
-    prefix: Any,
-    frame: int,
-    history: int,
-    gamma: float,
-    evidence: bool,
-    weights: Any,
-    out: Any,
-) -> None:
-    """Write the statistics of the candidates ``top`` (K,) at ``frame`` to ``out`` (K,).
-
-    Look-ups first, arithmetic after: the second loop has no scattered access and runs in SIMD.
-    ``weights`` (K,) is scratch.
+    A look-up takes a fourth of the time of a root and a division.
     """
-    window = sums[mark.origin - frame :]
-    ratio = ratio_of(gamma, evidence)
-    reach = min(history, frame)
-    if ratio == 1.0 and frame - reach >= mark.since:
-        # It ran on every frame that counts: the weights need no look-up.
-        for rank in range(top.size):
-            out[rank] = window[np.uintp(top[rank])]  # unsigned: no check for a negative index
-            weights[rank] = min(reach, top[rank]) + 1.0
-    else:
-        for rank in range(top.size):
-            out[rank] = window[np.uintp(top[rank])]
-            weights[rank] = weight_of(prefix, frame, top[rank], history, ratio)
-    if evidence:
-        for rank in range(top.size):
-            out[rank] = statistic_of(out[rank], weights[rank], True)
-    else:
-        for rank in range(top.size):
-            out[rank] = statistic_of(out[rank], weights[rank], False)
+    counts = np.maximum(np.arange(most + 1.0), 1.0)
+    factors: NDArray[np.float64] = 1.0 / (np.sqrt(counts) if evidence else counts)
+    return factors
+
+
+@inner
+def statistic_of(total: float, weight: float, factors: Any, gamma: float, evidence: bool) -> float:
+    """Statistic of a diagonal's sum: Σwz/√Σw² (evidence) or Σwz/Σw (mean)."""
+    if gamma == 1.0:
+        return total * factors[np.uintp(weight)]
+    return total / math.sqrt(weight) if evidence else total / weight
 
 
 @inner
@@ -192,33 +173,63 @@ def tie(best: float) -> float:
 
 
 @inner
-def highest(values: Any, size: int) -> float:
-    """Largest of the first ``size`` values.
-
-    In four lanes, here and in :func:`best_rival`: comparisons of one chain wait for each other.
-    """
-    a, b, c, d = values[0], -math.inf, -math.inf, -math.inf
-    even = size - size % 4
-    for i in range(0, even, 4):
-        a = values[i] if values[i] > a else a
-        b = values[i + 1] if values[i + 1] > b else b
-        c = values[i + 2] if values[i + 2] > c else c
-        d = values[i + 3] if values[i + 3] > d else d
-    for i in range(even, size):
-        a = values[i] if values[i] > a else a
-    best: float = max(max(a, b), max(c, d))
-    return best
-
-
-@compiled
-def first_best(values: Any, size: int) -> int:
-    """Index of the highest of ``values``; of equal ones the first."""
-    best = highest(values, size)
+def first_near(values: Any, best: float, size: int) -> int:
+    """Index of the first value that is as good as ``best``, the highest of them."""
     floor = best - tie(best)
     for i in range(size):
         if values[i] >= floor:
             return i
     return 0
+
+
+@compiled
+def best_candidate(
+    sums: Any,
+    mark: Any,
+    top: Any,
+    prefix: Any,
+    factors: Any,
+    frame: int,
+    history: int,
+    gamma: float,
+    evidence: bool,
+    out: Any,
+) -> int:
+    """Write the statistics of the candidates ``top`` (K,) at ``frame`` to ``out`` (K,).
+
+    ``factors`` are those of :func:`factors_of`, for as many rows as the history and the map have.
+
+    Returns:
+        Rank of the candidate of the highest statistic; of equal ones the first.
+    """
+    window = sums[mark.origin - frame :]
+    reach = min(history, frame)
+    best = -math.inf
+    if gamma == 1.0 and frame - reach >= mark.since:
+        # It ran on every frame that counts: how many these are needs no look-up.
+        for rank in range(top.size):
+            total = window[np.uintp(top[rank])]  # unsigned: no check for a negative index
+            statistic = total * factors[np.uintp(min(reach, top[rank]) + 1)]
+            out[rank] = statistic
+            best = max(best, statistic)
+    else:
+        ratio = ratio_of(gamma, evidence)
+        for rank in range(top.size):
+            weight = weight_of(prefix, frame, top[rank], history, ratio)
+            total = window[np.uintp(top[rank])]
+            statistic = statistic_of(total, weight, factors, gamma, evidence)
+            out[rank] = statistic
+            best = max(best, statistic)
+    return first_near(out, best, top.size)
+
+
+@compiled
+def first_best(values: Any, size: int) -> int:
+    """Index of the highest of ``values``; of equal ones the first."""
+    best = values[0]
+    for i in range(1, size):
+        best = max(best, values[i])
+    return first_near(values, best, size)
 
 
 @inner
@@ -230,7 +241,10 @@ def value_beyond(values: Any, top: Any, rank: int, place: int, tolerance: int) -
 
 @inner
 def best_rival(values: Any, top: Any, size: int, place: int, tolerance: int, best: float) -> float:
-    """Highest of ``best`` and the statistics of candidates beyond ``tolerance`` of ``place``."""
+    """Highest of ``best`` and the statistics of candidates beyond ``tolerance`` of ``place``.
+
+    In four lanes: comparisons of one chain wait for each other.
+    """
     a, b, c, d = best, -math.inf, -math.inf, -math.inf
     even = size - size % 4
     for i in range(0, even, 4):
@@ -314,6 +328,8 @@ class SIC:
         self.frame = -1
         self._history = _History.empty(64, references, self.settings.candidates)
         self._sums: NDArray[np.float64] = np.zeros(references + SLACK)
+        reach = min(self.settings.history, references)
+        self._factors = factors_of(reach + 1, self.settings.statistic == "evidence")
         self._mark = np.zeros(1, SUMS)
         self._mark["last"] = -1
         self._mark["origin"] = SLACK
@@ -372,9 +388,8 @@ class SIC:
         push(self._sums, mark, run, rows.ran, frame, history, gamma)
         self._weigh(frame)
         top, prefix = rows.buffer.top[frame], rows.prefix
-        values, scratch = np.empty((2, top.size))
-        score_candidates(
-            self._sums, mark, top, prefix, frame, history, gamma, evidence, scratch, values
+        values = np.empty(top.size)
+        winner = best_candidate(
+            self._sums, mark, top, prefix, self._factors, frame, history, gamma, evidence, values
         )
-        winner = first_best(values, values.size)
         return Match(int(top[winner]), float(values[winner]), float(values[winner] - values[0]))

@@ -346,8 +346,9 @@ def masked(infos: Infos, mask: NDArray[np.bool_]) -> Infos:
     """Infos as Gymnasium's vector environments give them: zero and unset outside ``mask``."""
     result: Infos = {}
     everyone = bool(mask.all())
-    masks = np.repeat(mask[np.newaxis], len(infos), axis=0)  # a row each: none is shared
-    for (name, value), own in zip(infos.items(), masks, strict=True):
+    masks = np.ones((len(infos), 1), np.bool_) & mask  # a row each: none is shared
+    for own, name in zip(masks, infos, strict=True):
+        value = infos[name]
         if isinstance(value, dict):
             result[name] = masked(value, mask)
         elif everyone:
@@ -355,5 +356,5 @@ def masked(infos: Infos, mask: NDArray[np.bool_]) -> Infos:
         else:
             kept = mask.reshape(-1, *[1] * (value.ndim - 1))
             result[name] = np.where(kept, value, np.zeros_like(value))
-        result[f"_{name}"] = own
+        result["_" + name] = own
     return result

@@ -9,7 +9,7 @@ from typing import Any
 
 from amusic_gym._compile import compiled
 from amusic_gym.rows import top_at
-from amusic_gym.sic import first_best, push, score_candidates, weigh
+from amusic_gym.sic import best_candidate, push, weigh
 
 
 @compiled
@@ -20,7 +20,7 @@ def correct_routes(
     ran: Any,
     prefix: Any,
     values: Any,
-    scratch: Any,
+    factors: Any,
     frame: int,
     history: int,
     places: Any,
@@ -35,7 +35,7 @@ def correct_routes(
         ran: (N, Q) uint8.
         prefix: (N, Q + 1) float64 prefix weights.
         values: (K,) float64 scratch.
-        scratch: (K,) float64, more of it.
+        factors: (F + 2,) float64, see ``sic.factors_of``.
         frame: frame index.
         history: F.
         places: (N,) int64, to fill with the corrected matches.
@@ -46,10 +46,9 @@ def correct_routes(
         weigh(prefix[i], ran[i], frame, frame + 1, 1.0)
         push(sums[i], marks[i], runs[i], ran[i], frame, history, 1.0)
         top = top_at(runs[i], frame)
-        score_candidates(
-            sums[i], marks[i], top, prefix[i], frame, history, 1.0, True, scratch, values
+        winner = best_candidate(
+            sums[i], marks[i], top, prefix[i], factors, frame, history, 1.0, True, values
         )
-        winner = first_best(values, top.size)
         places[i] = top[winner]
         statistics[i] = values[winner]
 

@@ -153,7 +153,7 @@ class Corrections:
             state.runs[:, 0],
         )
         self.histories = (state.ran[:, 0], state.prefix[:, 0])
-        self.values, self.scratch = state.values[0], state.scratch
+        self.values, self.factors = state.values[0], state.factors
         self.places = np.zeros(sizes.routes, np.int64)
         self.statistics = np.zeros(sizes.routes)
         self.history, self._correct = sizes.history, correct_routes
@@ -167,7 +167,7 @@ class Corrections:
     def at(self, frame: int) -> None:
         """One correction on every route."""
         self._correct(
-            *(self.sums, self.marks, self.runs, *self.histories, self.values, self.scratch),
+            *(self.sums, self.marks, self.runs, *self.histories, self.values, self.factors),
             *(frame, self.history, self.places, self.statistics),
         )
 

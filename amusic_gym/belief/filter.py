@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from amusic_gym._compile import inner, spliced
+from amusic_gym._tables import part
 from amusic_gym.belief.memory import REACH, Minds, copy_mind, hearing_at
 from amusic_gym.belief.motion import move
 from amusic_gym.belief.places import conclude, looks_of, places_of, testify, weigh_places
@@ -82,7 +83,7 @@ def look_over(minds: Minds, which: int, i: int, frame: int, ran: Any, size: int)
             known.said = math.log(likelihood(words, row[mind.place]))
             mind.said += known.said
             mind.heard += 1
-            learn(minds.rates, known, size, row, words, looks)
+            learn(minds.rates, known, size, row, words, looks, minds.windows)
 
 
 @inner
@@ -90,11 +91,11 @@ def normalise(mind: Any, now: Any, whole: float, size: int) -> None:
     """Make the belief sum to 1, and note how much of it is in steady motion."""
     mind.steady = 0.0
     for way in range(WAYS):
-        line = now[way]
+        line = part(now[way], REACH, size)
         for place in range(size):
-            line[REACH + place] /= whole
+            line[place] /= whole
         if way >= LOCKED:
-            mind.steady += total(line[REACH:], size)
+            mind.steady += total(line, size)
 
 
 @inner

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from amusic_gym._compile import apart, inner
+from amusic_gym._tables import part
 from amusic_gym.belief.memory import REACH
 from amusic_gym.belief.rates import BINOMIAL, LOCKED, SHARES, SPEEDS, WANDER, WAYS, Rates, share_of
 from amusic_gym.belief.rows import total
@@ -16,9 +17,9 @@ def add_lines(belief: Any, first: int, stop: int, size: int, out: Any) -> None:
     for c in range(size):
         out[c] = 0.0
     for way in range(first, stop):
-        line = belief[way]
+        line = part(belief[way], REACH, size)
         for c in range(size):
-            out[c] += line[REACH + c]
+            out[c] += line[c]
 
 
 @inner
@@ -50,15 +51,16 @@ def mix(rates: Rates, belief: Any, size: int, fast: Any, even: Any) -> None:
     add_lines(belief, LOCKED, WAYS, size, even)
     keep, change = (1.0 - rates.change) * (1.0 - rates.settle), rates.change * (1.0 - rates.settle)
     for way in range(SPEEDS):
-        line, share = belief[way], SHARES[way]
+        line, share, leave = part(belief[way], REACH, size), SHARES[way], rates.leave
         for c in range(size):
-            i = REACH + c
-            line[i] = keep * line[i] + share * (change * fast[c] + rates.leave * even[c])
+            line[c] = keep * line[c] + share * (change * fast[c] + leave * even[c])
+    settle = rates.settle
     for c in range(size):
-        fast[c] *= rates.settle
-    locked, stay, still = belief[LOCKED], 1.0 - rates.leave, 1.0 - rates.wandering
+        fast[c] *= settle
+    stay, still = 1.0 - rates.leave, 1.0 - rates.wandering
+    locked = part(belief[LOCKED], REACH, size)
     for c in range(size):
-        locked[REACH + c] = stay * locked[REACH + c] + still * fast[c]
+        locked[c] = stay * locked[c] + still * fast[c]
     drift(rates, belief, size, fast)
 
 
@@ -83,15 +85,15 @@ def advance(rates: Rates, source: Any, target: Any, size: int, stand: float) -> 
     whole, steady = 0.0, 0.0
     for way in range(SPEEDS):
         p0, p1, p2, p3 = chances_of(rates, way, stand)
-        old, new = source[way], target[way]
-        for i in range(REACH, REACH + size):
-            new[i] = p0 * old[i] + p1 * old[i - 1] + p2 * old[i - 2] + p3 * old[i - 3]
-        whole += total(new[REACH:], size)
+        old, new = source[way], part(target[way], REACH, size)
+        for c in range(size):
+            new[c] = p0 * old[c + 3] + p1 * old[c + 2] + p2 * old[c + 1] + p3 * old[c]
+        whole += total(new, size)
     for way in range(LOCKED, WAYS):
-        old, new = source[way], target[way]
-        for i in range(REACH, REACH + size):
-            new[i] = old[i - 1]
-        steady += total(new[REACH:], size)
+        old, new = part(source[way], REACH - 1, size), part(target[way], REACH, size)
+        for c in range(size):
+            new[c] = old[c]
+        steady += total(new, size)
     return whole + steady, steady
 
 
@@ -134,6 +136,6 @@ def move(
             keep, gain = (1.0 - often) / whole, lost * SHARES[way]
         if off_map:
             keep, gain = 0.0, share_of(rates, way) / size
-        line = target[way]
-        for i in range(REACH, REACH + size):
-            line[i] = keep * line[i] + gain
+        line = part(target[way], REACH, size)
+        for c in range(size):
+            line[c] = keep * line[c] + gain

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from amusic_gym._compile import apart, inner
+from amusic_gym._tables import part
 from amusic_gym.belief.memory import REACH, Minds
 from amusic_gym.belief.rates import LOCKED, WANDER, WAYS
 from amusic_gym.belief.trust import likelihood
@@ -23,9 +24,9 @@ def places_of(belief: Any, size: int, out: Any) -> None:
     for c in range(size):
         out[c] = belief[0, REACH + c]
     for way in range(1, WAYS):
-        line = belief[way]
+        line = part(belief[way], REACH, size)
         for c in range(size):
-            out[c] += line[REACH + c]
+            out[c] += line[c]
 
 
 @inner
@@ -44,16 +45,17 @@ def looks_of(belief: Any, size: int, out: Any) -> None:
     for c in range(size):
         out[c] = belief[0, REACH + c]
     for way in range(1, LOCKED + 1):
-        line = belief[way]
+        line = part(belief[way], REACH, size)
         for c in range(size):
-            out[c] += line[REACH + c]
+            out[c] += line[c]
     for way in range(LOCKED + 1, WAYS):
         line, off = belief[way], way - LOCKED - 1 - WANDER
         low, high = inside(off, size)
         for c in range(low):
             out[0] += line[REACH + c]
-        for c in range(low, high):
-            out[c + off] += line[REACH + c]
+        looks, held = part(out, low + off, high - low), part(line, REACH + low, high - low)
+        for c in range(high - low):
+            looks[c] += held[c]
         for c in range(high, size):
             out[size - 1] += line[REACH + c]
 
@@ -62,16 +64,17 @@ def looks_of(belief: Any, size: int, out: Any) -> None:
 def weigh_places(belief: Any, factor: Any, size: int) -> None:
     """Multiply every line by the likelihood of the place that it takes the image to look like."""
     for way in range(LOCKED + 1):
-        line = belief[way]
+        line = part(belief[way], REACH, size)
         for c in range(size):
-            line[REACH + c] *= factor[c]
+            line[c] *= factor[c]
     for way in range(LOCKED + 1, WAYS):
         line, off = belief[way], way - LOCKED - 1 - WANDER
         low, high = inside(off, size)
         for c in range(low):
             line[REACH + c] *= factor[0]
-        for c in range(low, high):
-            line[REACH + c] *= factor[c + off]
+        looks, held = part(factor, low + off, high - low), part(line, REACH + low, high - low)
+        for c in range(high - low):
+            held[c] *= looks[c]
         for c in range(high, size):
             line[REACH + c] *= factor[size - 1]
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from amusic_gym._compile import apart, inner
 from amusic_gym.belief.rates import Rates
 from amusic_gym.rows import mean_at, row_at, scale_at
@@ -17,13 +19,13 @@ RECENT = 0.1
 def total(values: Any, size: int) -> float:
     """Sum of the first ``size`` values, in four lanes."""
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
-    even = size - size % 4
-    for i in range(0, even, 4):
+    for four in range(size // 4):
+        i = np.uintp(4 * four)
         a += values[i]
-        b += values[i + 1]
-        c += values[i + 2]
-        d += values[i + 3]
-    for i in range(even, size):
+        b += values[i + np.uintp(1)]
+        c += values[i + np.uintp(2)]
+        d += values[i + np.uintp(3)]
+    for i in range(size - size % 4, size):
         a += values[i]
     return (a + b) + (c + d)
 

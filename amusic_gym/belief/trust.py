@@ -43,8 +43,9 @@ def voice(rates: Rates, known: Any, size: int, row: Any, out: Any) -> None:
     once, twice, fourfold = 0.0, 0.0, 0.0
     for place in range(size):
         value = row[place]
-        x = power(min(slope * (value + bend * max(value, 0.0) * value) - top, 0.0))
-        row[place] = x
+        row[place] = power(min(slope * (value + bend * max(value, 0.0) * value) - top, 0.0))
+    for place in range(size):  # apart: in one loop, sums would keep the powers out of SIMD
+        x = row[place]
         once += x
         twice += x * x
         fourfold += (x * x) * (x * x)
@@ -63,7 +64,9 @@ def likelihood(words: Any, x: float) -> float:
 
 
 @apart
-def learn(rates: Rates, known: Any, size: int, row: Any, words: Any, looks: Any) -> None:
+def learn(
+    rates: Rates, known: Any, size: int, row: Any, words: Any, looks: Any, others: Any
+) -> None:
     """Learn from the belief after the frame of which kind a technique's rows are.
 
     What the row itself made of the belief is divided out again: it is compared with what the past
@@ -76,15 +79,17 @@ def learn(rates: Rates, known: Any, size: int, row: Any, words: Any, looks: Any)
         row: (R,) its x.
         words: its VOICE record.
         looks: (R,) belief over the places that the image looks like, with all rows in it.
+        others: (R,) scratch.
     """
+    for place in range(size):
+        others[place] = looks[place] / likelihood(words, row[place])
     none, once, twice, fourfold = 0.0, 0.0, 0.0, 0.0
     for place in range(size):
-        x = row[place]
-        others = looks[place] / likelihood(words, x)
-        none += others
-        once += others * x
-        twice += others * (x * x)
-        fourfold += others * ((x * x) * (x * x))
+        x, share = row[place], others[place]
+        none += share
+        once += share * x
+        twice += share * (x * x)
+        fourfold += share * ((x * x) * (x * x))
     exponent = rates.learn * known.weight
     once = known.once * (words.norm_once * once / none) ** exponent
     twice = known.twice * (words.norm_twice * twice / none) ** exponent
