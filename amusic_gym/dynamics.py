@@ -116,23 +116,34 @@ def note_runs(state: State, rules: Rules, i: int, out: Outcome) -> None:
                 out.routes[i].seconds += slot.seconds
 
 
+@inner
+def tell_of(state: State, i: int, s: int, out: Outcome) -> None:
+    """Copy what a technique's run came to, to the outcome."""
+    slot = state.slots[i, s]
+    out.slots[i, s].place = slot.place
+    out.slots[i, s].statistic = slot.statistic
+    out.slots[i, s].correction = slot.correction
+
+
 @spliced
-def run_techniques(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
-    """Run the chosen techniques on the frame and correct each."""
+def correct_techniques(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
+    """Run SIC for the techniques that run on the frame."""
     for s in range(state.slots[i].size):
-        slot = state.slots[i, s]
-        if not slot.ran:
-            continue
-        if rules.belief:
+        if state.slots[i, s].ran:
+            winner = correct_frame(state, rules, i, s, frame, out)
+            remember(state, state.routes[i].tolerance, i, s, frame, winner)
+            tell_of(state, i, s, out)
+
+
+@spliced
+def recall_techniques(state: State, i: int, frame: int, out: Outcome) -> None:
+    """Take over what the belief made of the techniques that run on the frame."""
+    for s in range(state.slots[i].size):
+        if state.slots[i, s].ran:
             if not prepare(state.runs[i, s], frame):
                 out.routes[i].bad_row = 1 + s * state.routes[i].frames + frame
             recall(state, i, s, frame)
-        else:
-            winner = correct_frame(state, rules, i, s, frame, out)
-            remember(state, state.routes[i].tolerance, i, s, frame, winner)
-        out.slots[i, s].place = slot.place
-        out.slots[i, s].statistic = slot.statistic
-        out.slots[i, s].correction = slot.correction
+            tell_of(state, i, s, out)
 
 
 @inner
@@ -271,9 +282,12 @@ def relate(state: State, rules: Rules, i: int, frame: int) -> None:
 
 
 @spliced
-def report(state: State, i: int, frame: int, out: Outcome) -> None:
-    """Finish the route's memory of the frame and copy it to the outcome."""
+def finish(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
+    """Finish the route's memory of the frame."""
     route = state.routes[i]
+    if out.routes[i].idle:
+        out.routes[i].technique = -1
+    relate(state, rules, i, frame)
     route.frame = frame
     route.since_doubt = 0.0 if route.p_correct < DOUBT else route.since_doubt + 1.0
     route.p_correct_mean += SMOOTHING * (route.p_correct - route.p_correct_mean)
@@ -281,7 +295,6 @@ def report(state: State, i: int, frame: int, out: Outcome) -> None:
         out.routes[i].seconds = route.spent
     route.compute = out.routes[i].seconds / route.total_seconds
     route.compute_mean += SMOOTHING * (route.compute - route.compute_mean)
-    show(state, i, out)
 
 
 @inner
@@ -303,28 +316,11 @@ def show(state: State, i: int, out: Outcome) -> None:
     observe(route, slots, out.observation[i])
 
 
-@spliced
-def process_route(state: State, rules: Rules, i: int, out: Outcome) -> None:
-    """Process the next frame of route ``i``; the rows of what runs on it are there."""
-    frame = state.routes[i].frame + 1
-    run_techniques(state, rules, i, frame, out)
-    if out.routes[i].idle:
-        out.routes[i].technique = -1
-    if rules.belief:
-        believe(state, rules, i, out)
-    elif out.routes[i].idle:
-        coast(state.routes[i])
-    else:
-        fuse(state, rules, i, frame, out)
-    relate(state, rules, i, frame)
-    report(state, i, frame, out)
-
-
 @compiled
 def plan_routes(address: int) -> None:
     """Decide what runs on the next frame of every active route.
 
-    Apart from :func:`process_routes`, because a live route computes the rows that a plan names
+    Apart from processing it, because a live route computes the rows that a plan names
     before they are processed, and the belief (:mod:`amusic_gym.belief`) hears them. A selection
     comes before (:func:`amusic_gym.selection.select_routes`).
 
@@ -341,7 +337,7 @@ def plan_routes(address: int) -> None:
 
 @compiled
 def process_routes(address: int) -> int:
-    """Process the next frame of every active route as planned, and show the others as they are.
+    """Process the next frame of every active route as planned, with SIC and MuSIC.
 
     Args:
         address: of a table of the layout ``BATCH``.
@@ -354,9 +350,45 @@ def process_routes(address: int) -> int:
     bad_rows = 0
     for i in range(batch.active.size):
         if batch.active[i]:
-            process_route(state, rules, i, out)
+            frame = state.routes[i].frame + 1
+            correct_techniques(state, rules, i, frame, out)
+            if out.routes[i].idle:
+                coast(state.routes[i])
+            else:
+                fuse(state, rules, i, frame, out)
+            finish(state, rules, i, frame, out)
             bad_rows += out.routes[i].bad_row > 0
-        else:
-            out.routes[i].technique = -1
-            show(state, i, out)
     return bad_rows
+
+
+@compiled
+def process_beliefs(address: int) -> int:
+    """As :func:`process_routes` with the statistic ``belief``, which has heard the rows.
+
+    Apart, so that neither has to be compiled for the other.
+    """
+    batch = batch_at(address)
+    state, rules, out = batch.state, batch.rules, batch.out
+    bad_rows = 0
+    for i in range(batch.active.size):
+        if batch.active[i]:
+            frame = state.routes[i].frame + 1
+            recall_techniques(state, i, frame, out)
+            believe(state, rules, i, out)
+            finish(state, rules, i, frame, out)
+            bad_rows += out.routes[i].bad_row > 0
+    return bad_rows
+
+
+@compiled
+def show_routes(address: int) -> None:
+    """Show every route as it is: write what is known of it to the outcome.
+
+    Args:
+        address: of a table of the layout ``BATCH``.
+    """
+    batch = batch_at(address)
+    for i in range(batch.active.size):
+        if not batch.active[i]:
+            batch.out.routes[i].technique = -1
+        show(batch.state, i, batch.out)

@@ -19,7 +19,7 @@ from amusic_gym import belief
 from amusic_gym.bank import ScoreBank
 from amusic_gym.belief import Minds
 from amusic_gym.calibration import coefficients
-from amusic_gym.dynamics import plan_routes, process_routes
+from amusic_gym.dynamics import plan_routes, process_beliefs, process_routes, show_routes
 from amusic_gym.live import ENDLESS
 from amusic_gym.observation import declare_costs, observation_size
 from amusic_gym.records import (
@@ -290,7 +290,11 @@ class Episodes:
         """Process what was planned; returns the number of routes with a row that is not finite."""
         if self.rules.belief:
             belief.hear_routes(self._hearing_address)
-        return process_routes(self._address)
+            bad_rows = process_beliefs(self._address)
+        else:
+            bad_rows = process_routes(self._address)
+        show_routes(self._address)
+        return bad_rows
 
     def _step_live(self) -> int:
         """A step with live routes: let their techniques run between the plan and its processing."""
@@ -354,7 +358,7 @@ class Episodes:
     def look(self) -> Outcome:
         """Show every route as it is, without a step."""
         self._set(np.zeros(self.num_routes, np.bool_))
-        process_routes(self._address)
+        show_routes(self._address)
         return self._copied()
 
     @property

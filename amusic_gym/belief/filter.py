@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from amusic_gym._compile import inner, spliced
+from amusic_gym._compile import apart, inner, spliced
 from amusic_gym._tables import part
 from amusic_gym.belief.memory import REACH, Minds, copy_mind, hearing_at
 from amusic_gym.belief.motion import move
@@ -19,7 +19,7 @@ SAME = 1e-4
 """Two rows whose correlation falls short of 1 by less than this are the same."""
 
 
-@inner
+@apart
 def hear_rows(minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any) -> bool:
     """Standardise the rows of a frame; whether one is the same as that of the frame before.
 
@@ -86,7 +86,7 @@ def look_over(minds: Minds, which: int, i: int, frame: int, ran: Any, size: int)
             learn(minds.rates, known, size, row, words, looks, minds.windows)
 
 
-@inner
+@apart
 def normalise(mind: Any, now: Any, whole: float, size: int) -> None:
     """Make the belief sum to 1, and note how much of it is in steady motion."""
     mind.steady = 0.0

@@ -11,7 +11,7 @@ from amusic_gym.belief.rates import BINOMIAL, LOCKED, SHARES, SPEEDS, WANDER, WA
 from amusic_gym.belief.rows import total
 
 
-@inner
+@apart
 def add_lines(belief: Any, first: int, stop: int, size: int, out: Any) -> None:
     """Sum of some lines of the belief."""
     for c in range(size):
@@ -22,7 +22,7 @@ def add_lines(belief: Any, first: int, stop: int, size: int, out: Any) -> None:
             out[c] += line[c]
 
 
-@inner
+@apart
 def drift(rates: Rates, belief: Any, size: int, gained: Any) -> None:
     """Let images look farther ahead or behind, and steady motion end and begin.
 
@@ -44,7 +44,7 @@ def drift(rates: Rates, belief: Any, size: int, gained: Any) -> None:
             before = own
 
 
-@inner
+@apart
 def mix(rates: Rates, belief: Any, size: int, fast: Any, even: Any) -> None:
     """Let speeds change, and steady motion end and begin, in place; (R,) scratch comes last."""
     add_lines(belief, 0, SPEEDS, size, fast)
@@ -79,7 +79,7 @@ def chances_of(rates: Rates, way: int, stand: float) -> tuple[float, float, floa
     return 0.0, slack, 1.0 - 2.0 * slack, slack
 
 
-@inner
+@apart
 def advance(rates: Rates, source: Any, target: Any, size: int, stand: float) -> tuple[float, float]:
     """Move every line of the belief on by a frame; returns the sums of all and of steady motion."""
     whole, steady = 0.0, 0.0

@@ -18,7 +18,7 @@ ENOUGH = 0.99
 """Surroundings that hold this share of the most that any do are as good."""
 
 
-@inner
+@apart
 def places_of(belief: Any, size: int, out: Any) -> None:
     """Belief over true places, whatever the way of moving."""
     for c in range(size):
@@ -39,7 +39,7 @@ def inside(off: int, size: int) -> tuple[int, int]:
     return low, max(min(size - off, size), low)
 
 
-@inner
+@apart
 def looks_of(belief: Any, size: int, out: Any) -> None:
     """Belief over the places that the image looks like."""
     for c in range(size):
@@ -60,7 +60,7 @@ def looks_of(belief: Any, size: int, out: Any) -> None:
             out[size - 1] += line[REACH + c]
 
 
-@inner
+@apart
 def weigh_places(belief: Any, factor: Any, size: int) -> None:
     """Multiply every line by the likelihood of the place that it takes the image to look like."""
     for way in range(LOCKED + 1):
@@ -79,7 +79,7 @@ def weigh_places(belief: Any, factor: Any, size: int) -> None:
             line[REACH + c] *= factor[size - 1]
 
 
-@inner
+@apart
 def window_sums(values: Any, size: int, tolerance: int, out: Any) -> float:
     """Sums of ``values`` within the tolerance of each place; returns the sum of all values."""
     within, whole = 0.0, 0.0
@@ -105,7 +105,7 @@ def best_window(windows: Any, size: int) -> int:
     return best
 
 
-@inner
+@apart
 def likeliest(values: Any, windows: Any, size: int, tolerance: int) -> int:
     """Place that holds most of those whose surroundings hold (almost) most.
 
@@ -119,7 +119,7 @@ def likeliest(values: Any, windows: Any, size: int, tolerance: int) -> int:
     return place
 
 
-@inner
+@apart
 def rival_window(windows: Any, size: int, place: int, tolerance: int) -> float:
     """Highest sum of a window that shares no place with that of ``place``; 0: there is none."""
     rival = 0.0
@@ -167,7 +167,7 @@ def testify(
     )
 
 
-@inner
+@apart
 def conclude(minds: Minds, mind: Any, size: int, tolerance: int, whole: float) -> None:
     """Find the place whose surroundings hold most of the belief, and its rival."""
     windows = minds.windows

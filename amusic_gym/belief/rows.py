@@ -30,7 +30,7 @@ def total(values: Any, size: int) -> float:
     return (a + b) + (c + d)
 
 
-@inner
+@apart
 def novelty_of(run: Any, frame: int, last: int) -> float:
     """1 − correlation of a technique's rows of two frames; −1 if one of them is constant."""
     row, before = row_at(run, frame), row_at(run, last)
