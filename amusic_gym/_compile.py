@@ -28,6 +28,7 @@ KERNEL_SOURCES = (
 
 INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
 
+_unliteral: Any = types.unliteral
 _njit: Any = njit  # its stubs know neither the cache nor the options without wrappers
 
 
@@ -88,12 +89,14 @@ def inner(function: Function) -> Function:
     It has no way in from Python, which makes it sooner compiled, and is cached with its callers.
     Inlining pays: without it, a third of a step went into counting references to array views.
     """
-    return _once(_njit(**INNER, forceinline=True)(function))
+    compiled_function: Function = _once(_njit(**INNER, forceinline=True)(function))
+    return compiled_function
 
 
 def apart(function: Function) -> Function:
     """As :func:`inner`, but kept out of its callers' code: for what runs rarely."""
-    return _once(_njit(**INNER)(function))
+    compiled_function: Function = _once(_njit(**INNER)(function))
+    return compiled_function
 
 
 def spliced(function: Function) -> Function:
@@ -102,7 +105,8 @@ def spliced(function: Function) -> Function:
     Numba optimises the code of a function again in each of its callers; of functions that call
     one another in turn, each once more. One that only calls others is better not compiled at all.
     """
-    return _once(_njit(**INNER, inline="always")(function))
+    compiled_function: Function = _once(_njit(**INNER, inline="always")(function))
+    return compiled_function
 
 
 def _once(dispatcher: Any) -> Any:
@@ -113,7 +117,7 @@ def _once(dispatcher: Any) -> Any:
     resolve = dispatcher.get_call_template
 
     def get_call_template(args: Any, kws: Any) -> Any:
-        return resolve([types.unliteral(arg) for arg in args], kws)
+        return resolve([_unliteral(arg) for arg in args], kws)
 
     dispatcher.get_call_template = get_call_template
     return dispatcher

@@ -7,13 +7,13 @@ them on most of the time that Numba compiles. A table is one address.
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numba import types
-from numba.core import cgutils
-from numba.core.typing.templates import AttributeTemplate
+from numba.core.typing import templates
 from numba.extending import (
     infer_getattr,
     intrinsic,
@@ -21,8 +21,11 @@ from numba.extending import (
     models,
     register_model,
 )
-from numba.np import arrayobj, numpy_support
+from numba.np import numpy_support
 from numpy.typing import NDArray
+
+_cgutils: Any = importlib.import_module("numba.core.cgutils")  # these have no types
+_arrays: Any = importlib.import_module("numba.np.arrayobj")
 
 WORD = 8
 """Bytes of an entry; a number takes one, an array 1 + 2·ndim: address, shape, strides."""
@@ -32,7 +35,7 @@ NUMBERS: dict[type, types.Type] = {int: types.int64, float: types.float64, bool:
 Field = Any  # int, float, bool, (dtype, dimensions) of an array, or another Layout
 
 
-class Layout(types.Type):  # type: ignore[misc]  # Numba's classes have no types
+class Layout(types.Type):
     """Names and kinds of a table's entries; compiled functions see it as a type.
 
     Args:
@@ -47,7 +50,7 @@ class Layout(types.Type):  # type: ignore[misc]  # Numba's classes have no types
         self.offsets: dict[str, int] = {}
         self.words = 0
         for field, given in fields.items():
-            kind = NUMBERS.get(given, given) if isinstance(given, type) else given
+            kind: Any = NUMBERS.get(given, given) if isinstance(given, type) else given
             if isinstance(given, tuple):
                 dtype, dimensions = given
                 kind = types.Array(numpy_support.from_dtype(np.dtype(dtype)), dimensions, "C")
@@ -84,22 +87,21 @@ def _words_of(kind: types.Type) -> int:
 
 
 @register_model(Layout)
-class _LayoutModel(models.OpaqueModel):  # type: ignore[misc]
+class _LayoutModel(models.OpaqueModel):
     """A pointer."""
 
 
 @infer_getattr
-class _LayoutAttribute(AttributeTemplate):  # type: ignore[misc]
+class _LayoutAttribute(templates.AttributeTemplate):
     key = Layout
 
-    def generic_resolve(self, layout: Layout, attribute: str) -> types.Type | None:
+    def generic_resolve(self, layout: Layout, attribute: str) -> Any:  # type: ignore[override]
         return layout.kinds.get(attribute)
 
 
-@lower_getattr_generic(Layout)  # type: ignore[untyped-decorator]
 def _read(context: Any, builder: Any, layout: Layout, table: Any, field: str) -> Any:
-    kind, word = layout.kinds[field], cgutils.intp_t
-    place = cgutils.pointer_add(builder, table, layout.offsets[field] * WORD)
+    kind, word = layout.kinds[field], _cgutils.intp_t
+    place = _cgutils.pointer_add(builder, table, layout.offsets[field] * WORD)
     if isinstance(kind, Layout):
         return place
     if not isinstance(kind, types.Array):
@@ -111,7 +113,7 @@ def _read(context: Any, builder: Any, layout: Layout, table: Any, field: str) ->
     entries = builder.bitcast(place, word.as_pointer())
 
     def entry(number: int) -> Any:
-        return builder.load(cgutils.gep_inbounds(builder, entries, number))
+        return builder.load(_cgutils.gep_inbounds(builder, entries, number))
 
     return array_at(
         context,
@@ -123,13 +125,17 @@ def _read(context: Any, builder: Any, layout: Layout, table: Any, field: str) ->
     )
 
 
+_lower: Any = lower_getattr_generic
+_lower(Layout)(_read)
+
+
 def array_at(
     context: Any, builder: Any, kind: Any, address: Any, shape: list[Any], strides: list[Any]
 ) -> Any:
     """Numba's array over memory that others own."""
-    array = arrayobj.make_array(kind)(context, builder)
+    array = _arrays.make_array(kind)(context, builder)
     item = context.get_data_type(kind.dtype)
-    arrayobj.populate_array(
+    _arrays.populate_array(
         array,
         data=builder.inttoptr(address, item.as_pointer()),
         shape=shape,
@@ -169,8 +175,8 @@ def _part(typing_context: Any, values: Any, start: Any, size: Any) -> Any:
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         array = context.make_array(values)(context, builder, arguments[0])
         place = builder.gep(array.data, [arguments[1]])
-        address = builder.ptrtoint(place, cgutils.intp_t)
-        strides = cgutils.unpack_tuple(builder, array.strides)
+        address = builder.ptrtoint(place, _cgutils.intp_t)
+        strides = _cgutils.unpack_tuple(builder, array.strides)
         return array_at(context, builder, values, address, [arguments[2]], strides)
 
     return values(values, types.int64, types.int64), codegen

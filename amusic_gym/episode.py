@@ -300,7 +300,7 @@ class Episodes:
         """A step with live routes: let their techniques run between the plan and its processing."""
         if self._broken[self.stepped].any():
             raise ValueError("an error cut the last step short; call reset() before the next")
-        live = [i for i in np.flatnonzero(self.stepped) if self.drives[i] is not None]
+        live = [i for i in np.flatnonzero(self.stepped).tolist() if self.drives[i] is not None]
         self._look_ahead(live)
         self._broken |= self.stepped
         live = [i for i in live if self.stepped[i]]
@@ -380,13 +380,15 @@ class Episodes:
     def _outcome_parts(self) -> tuple[list[tuple[tuple[int, ...], Any, int]], int]:
         """Shape, dtype and place in memory of each array of an outcome; bytes of them all."""
         n, s = self.num_routes, self.slots
-        parts, end = [], 0
-        for shape, dtype in (
+        parts: list[tuple[tuple[int, ...], Any, int]] = []
+        end = 0
+        arrays: tuple[tuple[tuple[int, ...], np.dtype[Any]], ...] = (
             ((n,), RESULT),
             ((n, s), SLOT_RESULT),
             ((n, s, self.rules.block), np.dtype(np.float64)),
             ((n, observation_size(s)), np.dtype(np.float32)),
-        ):
+        )
+        for shape, dtype in arrays:
             parts.append((shape, dtype, end))
             end += math.ceil(math.prod(shape) * dtype.itemsize / LINE) * LINE
         return parts, end

@@ -161,9 +161,12 @@ def factors_of(most: int, evidence: bool) -> NDArray[np.float64]:
 @inner
 def statistic_of(total: float, weight: float, factors: Any, gamma: float, evidence: bool) -> float:
     """Statistic of a diagonal's sum: Σwz/√Σw² (evidence) or Σwz/Σw (mean)."""
+    statistic: float
     if gamma == 1.0:
-        return total * factors[np.uintp(weight)]
-    return total / math.sqrt(weight) if evidence else total / weight
+        statistic = total * factors[np.uintp(weight)]
+    else:
+        statistic = total / math.sqrt(weight) if evidence else total / weight
+    return statistic
 
 
 @inner

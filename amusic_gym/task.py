@@ -17,11 +17,11 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.checks import flag, number, whole
-from amusic_gym.records import RESULT, Outcome
 from amusic_gym.episode import Episodes, Route
 from amusic_gym.live import ENDLESS
 from amusic_gym.names import suggest
 from amusic_gym.observation import bounds
+from amusic_gym.records import RESULT, Outcome
 from amusic_gym.rewards import Reward, RewardInputs, as_reward
 from amusic_gym.settings import COVERAGE, SICSettings
 from amusic_gym.sources import BankLike, Recording, RouteSource, as_source, columns_for
@@ -285,7 +285,7 @@ class Task:
         return infos
 
     def info(self, out: Outcome, terms: Terms | None = None) -> Infos:
-        """Infos of a batch of one as a single environment gives them: plain numbers, (T,) arrays."""
+        """Infos of a batch of one as a single environment gives them: numbers and (T,) arrays."""
         numbers, slots = out.routes.item(), out.slots[0]
         info: Infos = dict(zip(ROUTE_INFOS, numbers, strict=False))
         for name in TECHNIQUE_INFOS:

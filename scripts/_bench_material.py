@@ -146,7 +146,7 @@ class Corrections:
         for i in range(sizes.routes):
             route = Route(bank, i, sizes.frames, np.array([0]), 1.0, 0)
             self._owner.begin(i, route)
-        state = self._owner.state
+        self.state = state = self._owner.state
         self.sums, self.marks, self.runs = (
             state.sums[0, :, 0],
             state.marks[0, :, 0],

@@ -27,4 +27,15 @@ from amusic_gym.belief.filter import hear_routes, look_back
 from amusic_gym.belief.memory import HEARING, Hearing, Minds, allocate, begin
 from amusic_gym.belief.rates import Rates, fitted, stored
 
-__all__ = ["HEARING", "Hearing", "Minds", "Rates", "allocate", "begin", "fitted", "hear_routes", "look_back", "stored"]
+__all__ = [
+    "HEARING",
+    "Hearing",
+    "Minds",
+    "Rates",
+    "allocate",
+    "begin",
+    "fitted",
+    "hear_routes",
+    "look_back",
+    "stored",
+]

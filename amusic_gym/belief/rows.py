@@ -20,11 +20,11 @@ def total(values: Any, size: int) -> float:
     """Sum of the first ``size`` values, in four lanes."""
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     for four in range(size // 4):
-        i = np.uintp(4 * four)
-        a += values[i]
-        b += values[i + np.uintp(1)]
-        c += values[i + np.uintp(2)]
-        d += values[i + np.uintp(3)]
+        first = np.uintp(4 * four)  # unsigned: no check for a negative index
+        a += values[first]
+        b += values[first + np.uintp(1)]
+        c += values[first + np.uintp(2)]
+        d += values[first + np.uintp(3)]
     for i in range(size - size % 4, size):
         a += values[i]
     return (a + b) + (c + d)
