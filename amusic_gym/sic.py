@@ -88,7 +88,7 @@ def recentre(sums: Any, mark: Any, frame: int, size: int) -> None:
     mark.origin = frame + room
 
 
-@inner
+@compiled
 def push(sums: Any, mark: Any, run: Any, ran: Any, frame: int, history: int, gamma: float) -> None:
     """Add the row of ``frame`` to the running sums and let rows older than F frames go.
 

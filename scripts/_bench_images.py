@@ -35,6 +35,13 @@ class ImageSizes(NamedTuple):
     product: int = 2048  # rows and columns of the matrices of the machine's product rate
 
 
+class Roof(NamedTuple):
+    """Operations per second that arithmetic allows, and those of CoHOG's matching."""
+
+    product: float
+    cohog: float
+
+
 QUICK_IMAGES = ImageSizes(images=4, places=70, frames=3, rounds=1, product=256)
 
 
@@ -122,12 +129,15 @@ def _large_map(pictures: Pictures, technique: Technique) -> DescribedMap:
     return DescribedMap(technique, [described[at[i : i + BLOCK]] for i in range(0, places, BLOCK)])
 
 
-def measure_images(sizes: ImageSizes, report: Callable[[str, float, str], None]) -> None:
+def measure_images(sizes: ImageSizes, report: Callable[[str, float, str], None]) -> Roof:
     """Measure everything of this file.
 
     Args:
         sizes: what is measured.
         report: takes a key, its value, and a sentence on it.
+
+    Returns:
+        Operations per second of a large matrix product and of CoHOG's matching.
     """
     pictures = Pictures(sizes)
     for name in TECHNIQUES:
@@ -147,3 +157,4 @@ def measure_images(sizes: ImageSizes, report: Callable[[str, float, str], None])
         beyond = wall - [one.run_milliseconds.sum() for one in seen]
         what = f"ms per frame beyond the techniques, {statistic}"
         report(f"{prefix}live_overhead_ms", float(np.median(beyond)), what)
+    return Roof(pictures.product_rate, reference.COHOG_OPERATIONS / medians.ours)

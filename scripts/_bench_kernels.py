@@ -11,6 +11,8 @@ from amusic_gym._compile import compiled
 from amusic_gym.rows import top_at
 from amusic_gym.sic import best_candidate, push, weigh
 
+BYTES_PER_PLACE = 4 + 8 + 8  # read a float32 score, read and write a float64 sum
+
 
 @compiled
 def correct_routes(

@@ -30,6 +30,15 @@ def gather(z: Floats, frame: int, top: Ints, history: int) -> Floats:
     return statistics
 
 
+def gather_one_by_one(z: Floats, frame: int, top: Ints, history: int) -> list[float]:
+    """The same by a loop over the K candidates: one diagonal after the other."""
+    found = []
+    for place in top:
+        ages = np.arange(min(history, frame, int(place)) + 1)
+        found.append(float(z[frame - ages, place - ages].sum() / math.sqrt(len(ages))))
+    return found
+
+
 def standardised(rows: NDArray[np.float32]) -> NDArray[np.float64]:
     """Rows (Q, R) less their mean, over their population σ."""
     wide = rows.astype(np.float64)

@@ -10,10 +10,13 @@ thread; each figure is a median. All is with the statistic `evidence`, γ = 1, u
 | ratio | of what | better |
 |---|---|---|
 | sic_vs_numpy | one SIC correction: time of the gather in NumPy / ours | more |
+| sic_vs_numpy_loop | … of a NumPy loop over the candidates / ours | more |
 | vector_env_vs_cartpole_vector | steps/s of the vector env / Gymnasium's CartPole one | more |
 | single_env_vs_cartpole | steps/s of the unwrapped single env / unwrapped CartPole | more |
 | ppo_vs_constant_env | wall time of PPO on the env / on one that returns constants | near 1 |
+| ppo_large_vs_constant_env | as above, 256 routes and batches of 8192 | near 1 |
 | sic_share_of_limit | bytes/s of the accumulator's row add / of a plain stream | near 1 |
+| step_share_of_limit | time of plain streams over a step's rows / of the vector step | near 1 |
 | cohog_match_vs_numpy | CoHOG's matching with one place: time of a NumPy loop / ours | more |
 | cohog_match_share_of_limit | time of the bare matrix product of the cells / ours | near 1 |
 | default_vector_env_vs_cartpole_vector | as above, default statistic | more |
@@ -22,7 +25,15 @@ thread; each figure is a median. All is with the statistic `evidence`, γ = 1, u
 
 And what a robot waits for, which is this machine's: default_step_ms, TECHNIQUE_describe_ms,
 live_overhead_ms and default_live_overhead_ms (per frame, beyond the techniques that ran) and
-live_hog_frames_per_second.
+live_hog_frames_per_second; import_seconds and first_step_…_seconds, cold and with compiled code.
+
+How time grows with the map: sic_us_at_R for R places, growth_exponent (1 is linear) between the
+largest two; route_bytes_per_place. With --big, a memory-mapped bank of 3.2 GB is written to a
+temporary folder and driven through with 2 GB of memory: big_anonymous_mb, big_run_us,
+big_share_of_read (time to copy the row / to take it into the sums and correct).
+
+Beside the JSON object stands a roofline: what each part does per second against what memory and
+arithmetic of this machine allow.
 """
 
 from __future__ import annotations
@@ -46,15 +57,27 @@ from _cli import Parser, run  # noqa: E402  (after the line above, which NumPy r
 import _bench_reference as reference  # noqa: E402
 import gymnasium as gym  # noqa: E402
 import numpy as np  # noqa: E402
+from _bench_figure import draw_roofline, points_of  # noqa: E402
+from _bench_growth import (  # noqa: E402
+    BIG_SHAPE,
+    QUICK_SHAPE,
+    QUICK_SIZES,
+    SIZES,
+    measure_big,
+    measure_growth,
+    measure_memory,
+)
 from _bench_images import QUICK_IMAGES, ImageSizes, measure_images  # noqa: E402
-from _bench_kernels import push_routes, stream  # noqa: E402
+from _bench_kernels import BYTES_PER_PLACE, push_routes, stream  # noqa: E402
 from _bench_material import QUICK, Corrections, Material, Sizes, same  # noqa: E402
+from _bench_start import measure_start  # noqa: E402
 
 from amusic_gym.env import TechniqueSelectionEnv  # noqa: E402
 from amusic_gym.settings import SICSettings  # noqa: E402
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv  # noqa: E402
 
-BYTES_PER_PLACE = 4 + 8 + 8  # read a float32 score, read and write a float64 sum
+Report = Callable[[str, float, str], None]
+"""Takes a key, its value, and a sentence on it."""
 
 
 class Measured(NamedTuple):
@@ -90,6 +113,24 @@ def measure_sic(material: Material) -> Measured:
         sizes.rounds,
     )
     return Measured(medians.faster, medians, "correction", "compiled", "NumPy gather")
+
+
+def measure_sic_loop(material: Material) -> Measured:
+    """One SIC correction at the last frame against a NumPy loop over the candidates."""
+    sizes, ours = material.sizes, Corrections(material)
+    frame, z, top = sizes.frames - 1, material.z[0], material.top[0]
+
+    def loop() -> list[float]:
+        return reference.gather_one_by_one(z, frame, top[frame], sizes.history)
+
+    ours.forward()
+    same("statistic of route 0", ours.statistics[0], max(loop()), 1e-9)
+    medians = interleave(
+        Side("compiled", ours.forward, sizes.routes * sizes.steps, ours.rewind),
+        Side("NumPy", loop, 1),
+        sizes.rounds,
+    )
+    return Measured(medians.faster, medians, "correction", "compiled", "NumPy loop")
 
 
 def measure_limit(material: Material) -> Measured:
@@ -180,6 +221,27 @@ def measure_vector_env(material: Material, statistic: str = "evidence") -> Measu
     return Measured(medians.faster, medians, "step", "vector env", "CartPole vector env")
 
 
+def measure_step_limit(material: Material) -> Measured:
+    """The vector env's step, all techniques, against plain streams over as many rows."""
+    sizes = material.sizes
+    env = TechniqueSelectionVectorEnv(sizes.routes, **material.env_arguments())
+    _play_checked(env, material, material.everything, {"start": material.starts})
+    windows = np.zeros((sizes.techniques, sizes.routes, sizes.places))
+
+    def stream_all() -> None:
+        for step in range(sizes.steps):
+            for t, rows in enumerate(material.bank.scores):
+                stream(rows[step : step + sizes.routes], windows[t])
+
+    units = sizes.steps * sizes.routes
+    medians = interleave(
+        Side("step", _stepper(env, material.everything, sizes.steps), units),
+        Side("streams", stream_all, units),
+        sizes.rounds,
+    )
+    return Measured(medians.faster, medians, "step", "vector env", "plain streams")
+
+
 def measure_single_env(material: Material, statistic: str = "evidence") -> Measured:
     """The single env, all techniques, against CartPole, both without wrappers."""
     sizes, action = material.sizes, material.everything[0]
@@ -248,12 +310,22 @@ def _learner(model: Any, steps: int) -> Callable[[], None]:
     return learn
 
 
+def measure_large_ppo(material: Material) -> Measured:
+    """As measure_ppo, with more routes and larger batches."""
+    sizes = material.sizes
+    large = sizes._replace(routes=4 * sizes.routes, ppo_batch=16 * sizes.ppo_batch)
+    return measure_ppo(Material(large))
+
+
 MEASUREMENTS: dict[str, Callable[[Material], Measured]] = {
     "sic_vs_numpy": measure_sic,
+    "sic_vs_numpy_loop": measure_sic_loop,
     "vector_env_vs_cartpole_vector": measure_vector_env,
     "single_env_vs_cartpole": measure_single_env,
     "ppo_vs_constant_env": measure_ppo,
+    "ppo_large_vs_constant_env": measure_large_ppo,
     "sic_share_of_limit": measure_limit,
+    "step_share_of_limit": measure_step_limit,
     "default_vector_env_vs_cartpole_vector": partial(
         measure_vector_env, statistic=SICSettings.statistic
     ),
@@ -277,6 +349,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--quick", action="store_true", help="small sizes: shows that it runs, not how fast it is"
     )
+    parser.add_argument(
+        "--big", action="store_true", help="also a bank of 3.2 GB, written to a temporary folder"
+    )
+    parser.add_argument(
+        "--only", nargs="+", metavar="KEY", choices=MEASUREMENTS, help="only these ratios"
+    )
     return parser
 
 
@@ -295,22 +373,39 @@ def main() -> None:
     print(inspect.getsource(reference.gather))
     material = Material(sizes)
     measures, seconds = {}, {}
-    for name, measure in MEASUREMENTS.items():
-        measured = measure(material)
-        measures[name], seconds[name] = measured.ratio, measured.medians.ours
+    for name in args.only or MEASUREMENTS:
+        measured = MEASUREMENTS[name](material)
+        measures[name], seconds[name] = measured.ratio, measured.medians
         print(_line(name, measured), flush=True)
 
     def report(name: str, value: float, sentence: str) -> None:
         measures[name] = value
         print(f"{name:30} {value:9.3g}   {sentence}", flush=True)
 
-    step = seconds["default_single_env_vs_cartpole"]
-    report("default_step_ms", 1e3 * step, f"ms per step of the single env, {SICSettings.statistic}")
-    slower = step / seconds["single_env_vs_cartpole"]
-    report("default_step_vs_evidence", slower, "times as long as with evidence")
-    measure_images(QUICK_IMAGES if args.quick else ImageSizes(), report)
+    if not args.only:
+        _measure_rest(args, material, seconds, report)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     args.out.write_text(json.dumps(measures, indent=1) + "\n", encoding="utf-8")
+
+
+def _measure_rest(
+    args: argparse.Namespace, material: Material, seconds: dict[str, Medians], report: Report
+) -> None:
+    """What is not a ratio of two sides, and the figure."""
+    step = seconds["default_single_env_vs_cartpole"].ours
+    report("default_step_ms", 1e3 * step, f"ms per step of the single env, {SICSettings.statistic}")
+    slower = step / seconds["single_env_vs_cartpole"].ours
+    report("default_step_vs_evidence", slower, "times as long as with evidence")
+    measure_growth(QUICK_SIZES if args.quick else SIZES, report)
+    measure_memory(material, report)
+    statistics = {"": "evidence", "default_": SICSettings.statistic}
+    measure_start(statistics, 1 if args.quick else 5, report)
+    if args.big:
+        measure_big(QUICK_SHAPE if args.quick else BIG_SHAPE, report)
+    product = measure_images(QUICK_IMAGES if args.quick else ImageSizes(), report)
+    figure = args.out.with_suffix(".png")
+    draw_roofline(points_of(material.sizes, seconds), product, figure)
+    print(f"roofline: {figure}")
 
 
 if __name__ == "__main__":
