@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import math
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -344,17 +344,18 @@ def as_seed(seed: int | None) -> int | None:
 
 def masked(infos: Infos, mask: NDArray[np.bool_]) -> Infos:
     """Infos as Gymnasium's vector environments give them: zero and unset outside ``mask``."""
+    count = sum(1 + (len(value) if isinstance(value, dict) else 0) for value in infos.values())
+    masks = iter(np.repeat(mask[np.newaxis], count, axis=0))  # a row each: none is shared
+    return _masked(infos, None if mask.all() else mask, masks)
+
+
+def _masked(infos: Infos, mask: NDArray[np.bool_] | None, masks: Iterator[Any]) -> Infos:
     result: Infos = {}
-    everyone = bool(mask.all())
-    masks = np.ones((len(infos), 1), np.bool_) & mask  # a row each: none is shared
-    for own, name in zip(masks, infos, strict=True):
-        value = infos[name]
+    for name, value in infos.items():
         if isinstance(value, dict):
-            result[name] = masked(value, mask)
-        elif everyone:
-            result[name] = value
-        else:
+            value = _masked(value, mask, masks)
+        elif mask is not None:
             kept = mask.reshape(-1, *[1] * (value.ndim - 1))
-            result[name] = np.where(kept, value, np.zeros_like(value))
-        result["_" + name] = own
+            value = np.where(kept, value, np.zeros_like(value))
+        result[name], result["_" + name] = value, next(masks)
     return result

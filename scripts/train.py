@@ -26,6 +26,20 @@ def main(arguments: list[str] | None = None) -> None:
     print(f"The best selector is in {given.out}; compare it with --policy ppo:{given.out}")
 
 
+LEARNING = {
+    "n_steps": "frames per route between two updates",
+    "batch_size": "frames per gradient step, at most",
+    "epochs": "passes over the frames of an update",
+    "learning_rate": "at the start; falls linearly to zero",
+}
+"""Options that decide how fast, and how well, an algorithm learns from its frames."""
+
+
+def option(name: str) -> str:
+    """The option of a setting: ``--n-steps`` of ``n_steps``."""
+    return "--" + name.replace("_", "-")
+
+
 def learn(given: argparse.Namespace, config: TrainingConfig) -> None:
     """Train with the configuration's algorithm, after choosing a teacher where it needs one."""
     from agents.training import train  # here, so that Ctrl-C in its long import ends well too
@@ -66,6 +80,9 @@ def _parser() -> Parser:
     add("--timesteps", type=int, help=f"frames in all (default: {defaults.timesteps})")
     add("--seed", type=int, help=f"of routes, weights and draws (default: {defaults.seed})")
     add("--n-envs", type=int, help=f"routes side by side (default: {defaults.n_envs})")
+    for name, of in LEARNING.items():
+        kind, default = type(getattr(defaults, name)), getattr(defaults, name)
+        add(option(name), type=kind, help=f"{of} (default of ppo: {default})")
     add("--statistic", help=f"of SIC (default: {defaults.statistic})")
     add("--reward", help=f"estimated or ground_truth (default: {defaults.reward})")
     add(
@@ -88,7 +105,7 @@ def _config(given: argparse.Namespace) -> TrainingConfig:
     """The defaults, or the configuration of the run to resume, with what was given."""
     from agents.config import WARM_START, training_config
 
-    names = ("algorithm", "timesteps", "seed", "n_envs", "statistic", "reward")
+    names = ("algorithm", "timesteps", "seed", "n_envs", "statistic", "reward", *LEARNING)
     chosen = {name: getattr(given, name) for name in names if getattr(given, name) is not None}
     if given.simulation:
         chosen["simulation"] = ranges(given.simulation)
