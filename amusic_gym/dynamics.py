@@ -25,6 +25,7 @@ from amusic_gym.sic import (
     statistic_of,
     weigh,
     weight_of,
+    with_waiting,
 )
 
 IDLE_DECAY = 0.9
@@ -44,10 +45,9 @@ def correct_frame(state: State, rules: Rules, i: int, s: int, frame: int, out: O
     push(sums, mark, run, state.ran[i, s], frame, rules.history, rules.gamma)
     prefix = state.prefix[i, s]
     values = state.values[s]
-    top = top_at(run, frame)
     history, gamma, evidence = rules.history, rules.gamma, rules.evidence
     return best_candidate(
-        sums, mark, top, prefix, state.factors, frame, history, gamma, evidence, values
+        sums, mark, run, prefix, state.factors, frame, history, gamma, evidence, values
     )
 
 
@@ -250,6 +250,7 @@ def stored_statistic(state: State, rules: Rules, i: int, s: int, place: int) -> 
     mark, frame = state.marks[LIVE, i, s], state.slots[i, s].last_run
     prefix = state.prefix[i, s]
     total = state.sums[LIVE, i, s, mark.origin - frame + place]
+    total = with_waiting(total, mark, state.runs[i, s], frame, place)
     ratio = ratio_of(rules.gamma, rules.evidence)
     weight = weight_of(prefix, frame, place, rules.history, ratio)
     return statistic_of(total, weight, state.factors, rules.gamma, rules.evidence)

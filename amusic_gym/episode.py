@@ -36,7 +36,7 @@ from amusic_gym.records import (
 from amusic_gym.rows import RUN
 from amusic_gym.selection import select_routes
 from amusic_gym.settings import COVERAGE, SICSettings
-from amusic_gym.sic import SLACK, SUMS, factors_of
+from amusic_gym.sic import SLACK, SUMS, depth_for, factors_of
 from amusic_gym.sources import Recording
 
 if TYPE_CHECKING:
@@ -221,6 +221,7 @@ class Episodes:
         marks = state.marks[:, i]
         marks[:] = np.zeros(1, SUMS)
         marks["last"] = -1
+        marks["depth"] = depth_for(bank.references, self.settings.gamma)
         marks["origin"] = max(state.sums.shape[-1] - bank.references, 0)
         self._point(i)
 

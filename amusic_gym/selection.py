@@ -64,6 +64,9 @@ def rebuild_lagged(state: State, rules: Rules, i: int, s: int, first: int) -> No
     live = state.marks[LIVE, i, s]
     live.origin, live.last = mark.origin, mark.last
     live.expired, live.since = mark.expired, mark.since
+    live.waiting = mark.waiting
+    for k in range(mark.waiting):
+        live.frames[k] = mark.frames[k]
 
 
 @apart

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym._compile import apart, compiled, inner
-from amusic_gym.rows import RUN, RowBuffer, mean_at, prepare, row_at, scale_at
+from amusic_gym._tables import part
+from amusic_gym.rows import RUN, RowBuffer, mean_at, prepare, row_at, scale_at, top_at
 from amusic_gym.settings import SICSettings
 
 RELATIVE_TIE = 1e-9
@@ -29,15 +30,36 @@ SLACK = 512
 DOUBLES = 8
 """Numbers in a cache line."""
 
+LARGE = 16_384
+"""Places from which the sums of a map are too much for a fast cache: rows are added together."""
+
+DEPTH = 8
+"""How many then."""
+
+TILE = 1024
+"""Places that several rows are added to in turn, so that their sums stay in the fastest cache."""
+
 SUMS = np.dtype(
     [
         ("origin", np.int64),  # place c at frame n has its sum at sums[origin - n + c]
         ("last", np.int64),  # frame of the last row added, -1 before the first
         ("expired", np.int64),  # frames before this one have left the history
         ("since", np.int64),  # the technique ran on every frame from this one to last
+        ("depth", np.int64),  # rows that wait to be added together, at most; 0: none ever waits
+        ("waiting", np.int64),  # how many do now
+        ("frames", np.int64, DEPTH),  # theirs, in order
     ]
 )
 """Bookkeeping of one technique's running sums. Float64[R + SLACK] sums go with it."""
+
+
+def depth_for(references: int, gamma: float) -> int:
+    """How many rows wait to be added together, on a map of so many places.
+
+    Eight rows in one pass move the sums through memory once instead of eight times; a look-up then
+    also looks at the rows that wait.
+    """
+    return DEPTH if references >= LARGE and gamma == 1.0 else 0
 
 
 @inner
@@ -59,6 +81,41 @@ def add_row(sums: Any, base: int, run: Any, frame: int, decay: float) -> None:
     lines, scores = window[head:], row[head:]
     for place in range(scores.size):
         lines[place] += (scores[place] - mean) * scale
+
+
+@apart
+def add_waiting(sums: Any, mark: Any, run: Any, frame: int) -> None:
+    """Add the rows that wait to the window of ``frame``, the latest of them; γ is 1."""
+    base = mark.origin - frame
+    size = run.references
+    for k in range(mark.waiting):
+        prepare(run, mark.frames[k])  # as in remove_row
+    for start in range(0, size, TILE):
+        stop = min(start + TILE, size)
+        for k in range(mark.waiting):
+            age = frame - mark.frames[k]
+            first = max(start, age)
+            if first >= stop:
+                continue
+            row = row_at(run, mark.frames[k])
+            mean = mean_at(run, mark.frames[k])[0]
+            scale = scale_at(run, mark.frames[k])[0]
+            window = part(sums, base + first, stop - first)
+            scores = part(row, first - age, stop - first)
+            for place in range(stop - first):
+                window[place] += (scores[place] - mean) * scale
+    mark.waiting = 0
+
+
+@inner
+def with_waiting(total: float, mark: Any, run: Any, frame: int, place: int) -> float:
+    """The sum of a place at ``frame`` with what the rows that wait will add to it."""
+    for k in range(mark.waiting):
+        at = place - (frame - mark.frames[k])
+        if at >= 0:
+            z = row_at(run, mark.frames[k])[at] - mean_at(run, mark.frames[k])[0]
+            total += z * scale_at(run, mark.frames[k])[0]
+    return total
 
 
 @apart
@@ -104,8 +161,15 @@ def push(sums: Any, mark: Any, run: Any, ran: Any, frame: int, history: int, gam
     if mark.origin < frame:
         recentre(sums, mark, frame, run.references)
     base = mark.origin - frame
-    decay = 1.0 if gamma == 1.0 or mark.last < 0 else gamma ** (frame - mark.last)
-    add_row(sums, base, run, frame, decay)
+    if mark.depth > 0:
+        mark.frames[mark.waiting] = frame
+        mark.waiting += 1
+        # Rows leave the history by being taken out of the sums, so that they must be in there.
+        if mark.waiting == mark.depth or mark.frames[0] < frame - history:
+            add_waiting(sums, mark, run, frame)
+    else:
+        decay = 1.0 if gamma == 1.0 or mark.last < 0 else gamma ** (frame - mark.last)
+        add_row(sums, base, run, frame, decay)
     while mark.expired < frame - history:
         age = frame - mark.expired
         # A row that came and went within one gap was never added, or has left the map.
@@ -189,7 +253,7 @@ def first_near(values: Any, best: float, size: int) -> int:
 def best_candidate(
     sums: Any,
     mark: Any,
-    top: Any,
+    run: Any,
     prefix: Any,
     factors: Any,
     frame: int,
@@ -198,17 +262,25 @@ def best_candidate(
     evidence: bool,
     out: Any,
 ) -> int:
-    """Write the statistics of the candidates ``top`` (K,) at ``frame`` to ``out`` (K,).
+    """Write the statistics of a row's candidates at ``frame`` to ``out`` (K,).
 
     ``factors`` are those of :func:`factors_of`, for as many rows as the history and the map have.
 
     Returns:
         Rank of the candidate of the highest statistic; of equal ones the first.
     """
+    top = top_at(run, frame)
     window = sums[mark.origin - frame :]
     reach = min(history, frame)
     best = -math.inf
-    if gamma == 1.0 and frame - reach >= mark.since:
+    if mark.waiting > 0:
+        for rank in range(top.size):
+            weight = weight_of(prefix, frame, top[rank], history, 1.0)
+            total = with_waiting(window[np.uintp(top[rank])], mark, run, frame, top[rank])
+            statistic = statistic_of(total, weight, factors, 1.0, evidence)
+            out[rank] = statistic
+            best = max(best, statistic)
+    elif gamma == 1.0 and frame - reach >= mark.since:
         # It ran on every frame that counts: how many these are needs no look-up.
         for rank in range(top.size):
             total = window[np.uintp(top[rank])]  # unsigned: no check for a negative index
@@ -336,6 +408,7 @@ class SIC:
         self._mark = np.zeros(1, SUMS)
         self._mark["last"] = -1
         self._mark["origin"] = SLACK
+        self._mark["depth"] = depth_for(references, self.settings.gamma)
 
     def skip(self) -> None:
         """Let a frame pass on which the technique does not run."""
@@ -393,6 +466,6 @@ class SIC:
         top, prefix = rows.buffer.top[frame], rows.prefix
         values = np.empty(top.size)
         winner = best_candidate(
-            self._sums, mark, top, prefix, self._factors, frame, history, gamma, evidence, values
+            self._sums, mark, run, prefix, self._factors, frame, history, gamma, evidence, values
         )
         return Match(int(top[winner]), float(values[winner]), float(values[winner] - values[0]))

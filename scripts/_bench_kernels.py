@@ -47,11 +47,10 @@ def correct_routes(
         ran[i, frame] = 1
         weigh(prefix[i], ran[i], frame, frame + 1, 1.0)
         push(sums[i], marks[i], runs[i], ran[i], frame, history, 1.0)
-        top = top_at(runs[i], frame)
         winner = best_candidate(
-            sums[i], marks[i], top, prefix[i], factors, frame, history, 1.0, True, values
+            sums[i], marks[i], runs[i], prefix[i], factors, frame, history, 1.0, True, values
         )
-        places[i] = top[winner]
+        places[i] = top_at(runs[i], frame)[winner]
         statistics[i] = values[winner]
 
 

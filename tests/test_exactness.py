@@ -7,6 +7,7 @@ import pytest
 from env_cases import noisy_bank
 from selection_cases import assert_route, follow
 
+from amusic_gym import sic
 from amusic_gym.bank import ScoreBank
 from amusic_gym.env import TechniqueSelectionEnv
 
@@ -38,13 +39,10 @@ def levels(rng: np.random.Generator) -> ScoreBank:
     return noisy_bank(rng, WIDTH, QUERIES, PLACES, levels=int(rng.integers(2, 9)))
 
 
-@pytest.mark.parametrize("make", [plain, aliased, levels])
-@pytest.mark.parametrize("history", [5, 1000])
-@pytest.mark.parametrize("gamma", [1.0, 0.9])
-@pytest.mark.parametrize("statistic", ["evidence", "mean"])
-def test_every_place_and_selection_is_the_loops(statistic, gamma, history, make):
+def check(make, frames, statistic, gamma, history):
+    """Drive random routes and compare every frame with the loops."""
     rng = np.random.default_rng(17)
-    for number in range(FRAMES // QUERIES):
+    for number in range(frames // QUERIES):
         bank, candidates = make(rng), (10, 50)[number % 2]
         actions = rng.random((QUERIES, WIDTH + 1)) < rng.choice([0.2, 0.5, 0.9])
         actions[:, -1] = rng.random(QUERIES) < 0.04
@@ -61,5 +59,36 @@ def test_every_place_and_selection_is_the_loops(statistic, gamma, history, make)
         for action in actions:
             info = env.step(action)[4]
             infos.append({**info, "ran": info["ran"].tolist()})
-        sic = (candidates, history, gamma, statistic)
-        assert_route(infos, follow(bank, actions, 6, 0.7, sic), bank.seconds)
+        chosen = (candidates, history, gamma, statistic)
+        assert_route(infos, follow(bank, actions, 6, 0.7, chosen), bank.seconds)
+
+
+@pytest.mark.parametrize("make", [plain, aliased, levels])
+@pytest.mark.parametrize("history", [5, 1000])
+@pytest.mark.parametrize("gamma", [1.0, 0.9])
+@pytest.mark.parametrize("statistic", ["evidence", "mean"])
+def test_every_place_and_selection_is_the_loops(statistic, gamma, history, make):
+    check(make, FRAMES, statistic, gamma, history)
+
+
+@pytest.mark.parametrize("make", [plain, aliased])
+@pytest.mark.parametrize("history", [3, 12, 1000])
+def test_rows_that_wait_on_large_maps_change_nothing(monkeypatch, history, make):
+    monkeypatch.setattr(sic, "LARGE", 1)
+    check(make, FRAMES // 5, "evidence", 1.0, history)
+
+
+def test_observations_on_a_large_map_are_those_of_rows_added_at_once(monkeypatch):
+    rng, count = np.random.default_rng(3), 2 * sic.TILE + 7
+    scores = rng.standard_normal((2, 60, count)).astype(np.float32)
+    bank = ScoreBank(scores, ["A", "B"], [1.0, 2.0], tolerance=1, ground_truth=np.full(60, -1))
+    actions = rng.random((60, 3)) < 0.6
+    actions[:, -1] = rng.random(60) < 0.1
+    seen = []
+    for large in (1, count + 1):
+        monkeypatch.setattr(sic, "LARGE", large)
+        env = TechniqueSelectionEnv(bank, statistic="evidence", reselection=4)
+        env.reset()
+        seen.append([env.step(action)[0] for action in actions])
+        assert env.task.episodes.state.marks["depth"].all() == (large == 1)
+    np.testing.assert_array_equal(*seen)
