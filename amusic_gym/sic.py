@@ -164,7 +164,7 @@ def push(sums: Any, mark: Any, run: Any, ran: Any, frame: int, history: int, gam
     if mark.depth > 0:
         mark.frames[mark.waiting] = frame
         mark.waiting += 1
-        # Rows leave the history by being taken out of the sums, so that they must be in there.
+        # A live route keeps a row no longer than the history.
         if mark.waiting == mark.depth or mark.frames[0] < frame - history:
             add_waiting(sums, mark, run, frame)
     else:
