@@ -19,7 +19,7 @@ class RewardInputs(NamedTuple):
 
     Attributes:
         outcome: all that the step gave; ``outcome.routes`` and ``outcome.slots`` are record
-            arrays whose fields :mod:`amusic_gym.dynamics` lists.
+            arrays whose fields :mod:`amusic_gym.records` lists.
         compute_weight: (N,) λ of each route.
         correct: call it for (N,) whether the predictions are true. Ground truth: for study only.
     """

@@ -145,7 +145,7 @@ def recentre(sums: Any, mark: Any, frame: int, size: int) -> None:
     mark.origin = frame + room
 
 
-@compiled
+@inner
 def push(sums: Any, mark: Any, run: Any, ran: Any, frame: int, history: int, gamma: float) -> None:
     """Add the row of ``frame`` to the running sums and let rows older than F frames go.
 
@@ -249,7 +249,7 @@ def first_near(values: Any, best: float, size: int) -> int:
     return 0
 
 
-@compiled
+@inner
 def best_candidate(
     sums: Any,
     mark: Any,
@@ -330,6 +330,26 @@ def best_rival(values: Any, top: Any, size: int, place: int, tolerance: int, bes
     for i in range(even, size):
         a = max(a, value_beyond(values, top, i, place, tolerance))
     return max(max(a, b), max(c, d))
+
+
+@compiled
+def correct_one(
+    sums: Any,
+    mark: Any,
+    run: Any,
+    ran: Any,
+    prefix: Any,
+    factors: Any,
+    frame: int,
+    history: int,
+    gamma: float,
+    evidence: bool,
+    out: Any,
+) -> int:
+    """Correct one technique on a frame: :func:`push`, :func:`weigh`, :func:`best_candidate`."""
+    push(sums, mark, run, ran, frame, history, gamma)
+    weigh(prefix, ran, frame, frame + 1, ratio_of(gamma, evidence))
+    return best_candidate(sums, mark, run, prefix, factors, frame, history, gamma, evidence, out)
 
 
 class Match(NamedTuple):
@@ -461,11 +481,10 @@ class SIC:
         evidence = settings.statistic == "evidence"
         run, history, gamma = rows.run(), settings.history, settings.gamma
         prepare(run, frame)
-        push(self._sums, mark, run, rows.ran, frame, history, gamma)
-        self._weigh(frame)
         top, prefix = rows.buffer.top[frame], rows.prefix
         values = np.empty(top.size)
-        winner = best_candidate(
-            self._sums, mark, run, prefix, self._factors, frame, history, gamma, evidence, values
+        winner = correct_one(
+            *(self._sums, mark, run, rows.ran, prefix, self._factors),
+            *(frame, history, gamma, evidence, values),
         )
         return Match(int(top[winner]), float(values[winner]), float(values[winner] - values[0]))

@@ -64,19 +64,21 @@ def draw_roofline(measured: tuple[float, list[Point]], roof: Roof, file: Path) -
     figure, axes = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
     x = np.geomspace(0.03, 4.0 * cohog.operations, 200)
     axes.loglog(x, np.minimum(bandwidth * x, roof.product) / 1e9, color="0.3")
-    axes.text(0.04, 1.25 * bandwidth * 0.04 / 1e9, "plain stream", rotation=30, color="0.3")
-    axes.text(x[-1], roof.product / 1e9, "matrix product ", ha="right", va="bottom", color="0.3")
+    axes.annotate(
+        "plain stream",
+        (0.1, 0.1 * bandwidth / 1e9),
+        (-6, 8),
+        textcoords="offset points",
+        ha="right",
+        color="0.3",
+    )
+    axes.text(x[-1], 1.05 * roof.product / 1e9, "matrix product", ha="right", color="0.3")
     for number, point in enumerate([*points, cohog]):
-        limit = min(bandwidth * point.operations, roof.product)
-        axes.plot(point.operations, point.rate / 1e9, "o", color=f"C{number}")
-        axes.annotate(
-            f"{point.name}: {100 * point.rate / limit:.0f} % of what the machine allows",
-            (point.operations, point.rate / 1e9),
-            (10, -14 * (number if number < len(points) else 1)),
-            textcoords="offset points",
-            ha="right" if point is cohog else "left",
-            color=f"C{number}",
-        )
+        share = 100 * point.rate / min(bandwidth * point.operations, roof.product)
+        label = f"{point.name}: {share:.0f} % of what the machine allows"
+        axes.plot(point.operations, point.rate / 1e9, "o", color=f"C{number}", label=label)
+    axes.set_ylim(0.5, 2.0 * roof.product / 1e9)
+    axes.legend(loc="lower right", frameon=False)
     axes.set_xlabel("operations per byte")
     axes.set_ylabel("10⁹ operations per second")
     axes.grid(alpha=0.3)

@@ -486,11 +486,21 @@ def test_a_used_folder_is_refused_and_left_alone(copy, command, tmp_path):
     assert command("--out", tmp_path / "file")[1][0].endswith("file is a file; give a folder")
 
 
-@pytest.mark.parametrize("option", [("--seed", 3), ("--n-envs", 8), ("--statistic", "mean")])
+@pytest.mark.parametrize(
+    "option",
+    [("--seed", 3), ("--n-envs", 8), ("--statistic", "mean"), ("--batch-size", 9), ("--epochs", 9)],
+)
 def test_resuming_with_other_arguments_is_refused(copy, command, option):
     status, lines = command("--out", copy, "--resume", *option)
     assert (status, len(lines)) == (2, 1)
     assert f"is {option[1]}, but" in lines[0]
+    assert "leave it out to resume" in lines[0]
+
+
+def test_resuming_on_other_routes_is_refused(copy, command):
+    status, lines = command("--out", copy, "--resume", "--simulation", "retimed=0.125")
+    assert (status, len(lines)) == (2, 1)
+    assert "simulation is {'retimed': 0.125}, but" in lines[0]
     assert "leave it out to resume" in lines[0]
 
 

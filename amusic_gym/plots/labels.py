@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from amusic_gym.marks import MARK
+
 if TYPE_CHECKING:
     from amusic_gym.trace import Trace
 
@@ -59,7 +61,7 @@ def policy_label(policy: str) -> str:
     names = {
         **{"amusic": "A-MuSIC", "music": "MuSIC", "ppo": "selector"},
         **{"mpf": "MPF", "hmpf": "H-MPF-style", "dynmpf": "Dyn-MPF-style", "hmm": "Markov filter"},
-        **{"switchhit": "SwitchHit-style †", "oracle": "oracle †", "borda": "Borda"},
+        **{"switchhit": f"SwitchHit-style {MARK}", "oracle": f"oracle {MARK}", "borda": "Borda"},
     }
     if kind in FIXED and argument:
         return argument
