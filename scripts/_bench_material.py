@@ -50,7 +50,7 @@ QUICK = Sizes(
     steps=5,
     ppo_rounds=1,
     ppo_steps=16,
-    ppo_batch=64,
+    ppo_batch=32,
 )
 
 
