@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.rows import RowBuffer
+from amusic_gym.sic import depth_for
 
 if TYPE_CHECKING:
     from amusic_gym.live import LiveRoute
@@ -46,7 +47,8 @@ class LiveRows:
         self.route = route
         self.start = start
         self.frame = -1
-        self.most = min(settings.history, route.references) + 2 * block + 4
+        waiting = 2 * depth_for(route.references, settings.gamma)
+        self.most = min(settings.history, route.references) + 2 * block + 4 + waiting
         self.buffers = [
             RowBuffer.empty(min(ROOM, self.most), route.references, settings.candidates)
             for _ in range(count)

@@ -65,8 +65,11 @@ def rebuild_lagged(state: State, rules: Rules, i: int, s: int, first: int) -> No
     live.origin, live.last = mark.origin, mark.last
     live.expired, live.since = mark.expired, mark.since
     live.waiting = mark.waiting
+    live.leaving = mark.leaving
     for k in range(mark.waiting):
         live.frames[k] = mark.frames[k]
+    for k in range(mark.leaving):
+        live.left[k] = mark.left[k]
 
 
 @apart

@@ -48,6 +48,8 @@ SUMS = np.dtype(
         ("depth", np.int64),  # rows that wait to be added together, at most; 0: none ever waits
         ("waiting", np.int64),  # how many do now
         ("frames", np.int64, DEPTH),  # theirs, in order
+        ("leaving", np.int64),  # rows that wait to be taken out
+        ("left", np.int64, DEPTH),  # their frames
     ]
 )
 """Bookkeeping of one technique's running sums. Float64[R + SLACK] sums go with it."""
@@ -85,36 +87,48 @@ def add_row(sums: Any, base: int, run: Any, frame: int, decay: float) -> None:
 
 @apart
 def add_waiting(sums: Any, mark: Any, run: Any, frame: int) -> None:
-    """Add the rows that wait to the window of ``frame``, the latest of them; γ is 1."""
+    """Add the rows that wait to the window of ``frame``, or take them out; γ is 1."""
     base = mark.origin - frame
-    size = run.references
-    for k in range(mark.waiting):
-        prepare(run, mark.frames[k])  # as in remove_row
+    size, rows = run.references, mark.waiting + mark.leaving
     for start in range(0, size, TILE):
         stop = min(start + TILE, size)
-        for k in range(mark.waiting):
-            age = frame - mark.frames[k]
+        for k in range(rows):
+            came = k < mark.waiting
+            past = mark.frames[k] if came else mark.left[k - mark.waiting]
+            age = frame - past
             first = max(start, age)
             if first >= stop:
                 continue
-            row = row_at(run, mark.frames[k])
-            mean = mean_at(run, mark.frames[k])[0]
-            scale = scale_at(run, mark.frames[k])[0]
+            prepare(run, past)  # as in remove_row
+            row = row_at(run, past)
+            mean = mean_at(run, past)[0]
+            scale = scale_at(run, past)[0] if came else -scale_at(run, past)[0]
             window = part(sums, base + first, stop - first)
             scores = part(row, first - age, stop - first)
             for place in range(stop - first):
                 window[place] += (scores[place] - mean) * scale
-    mark.waiting = 0
+    mark.waiting, mark.leaving = 0, 0
+
+
+@inner
+def z_of(run: Any, frame: int, place: int) -> float:
+    """Z-score of a place in a row."""
+    prepare(run, frame)  # as in remove_row
+    z: float = (row_at(run, frame)[place] - mean_at(run, frame)[0]) * scale_at(run, frame)[0]
+    return z
 
 
 @inner
 def with_waiting(total: float, mark: Any, run: Any, frame: int, place: int) -> float:
-    """The sum of a place at ``frame`` with what the rows that wait will add to it."""
+    """The sum of a place at ``frame`` with what the rows that wait will change of it."""
     for k in range(mark.waiting):
         at = place - (frame - mark.frames[k])
         if at >= 0:
-            z = row_at(run, mark.frames[k])[at] - mean_at(run, mark.frames[k])[0]
-            total += z * scale_at(run, mark.frames[k])[0]
+            total += z_of(run, mark.frames[k], at)
+    for k in range(mark.leaving):
+        at = place - (frame - mark.left[k])
+        if at >= 0:
+            total -= z_of(run, mark.left[k], at)
     return total
 
 
@@ -125,8 +139,9 @@ def remove_row(sums: Any, base: int, run: Any, frame: int, age: int, weight: flo
     row = row_at(run, frame)
     mean = mean_at(run, frame)[0]
     scale = scale_at(run, frame)[0] * weight
+    window = part(sums, base + age, row.size - age)
     for place in range(row.size - age):
-        sums[base + age + place] -= (row[place] - mean) * scale
+        window[place] -= (row[place] - mean) * scale
 
 
 @apart
@@ -164,9 +179,6 @@ def push(sums: Any, mark: Any, run: Any, ran: Any, frame: int, history: int, gam
     if mark.depth > 0:
         mark.frames[mark.waiting] = frame
         mark.waiting += 1
-        # A live route keeps a row no longer than the history.
-        if mark.waiting == mark.depth or mark.frames[0] < frame - history:
-            add_waiting(sums, mark, run, frame)
     else:
         decay = 1.0 if gamma == 1.0 or mark.last < 0 else gamma ** (frame - mark.last)
         add_row(sums, base, run, frame, decay)
@@ -174,8 +186,16 @@ def push(sums: Any, mark: Any, run: Any, ran: Any, frame: int, history: int, gam
         age = frame - mark.expired
         # A row that came and went within one gap was never added, or has left the map.
         if ran[mark.expired] and mark.expired <= mark.last and age < run.references:
-            remove_row(sums, base, run, mark.expired, age, gamma**age)
+            if mark.depth == 0:
+                remove_row(sums, base, run, mark.expired, age, gamma**age)
+            else:
+                if mark.leaving == mark.depth:
+                    add_waiting(sums, mark, run, frame)
+                mark.left[mark.leaving] = mark.expired
+                mark.leaving += 1
         mark.expired += 1
+    if mark.depth > 0 and (mark.waiting == mark.depth or mark.leaving == mark.depth):
+        add_waiting(sums, mark, run, frame)
     if frame != mark.last + 1:
         mark.since = frame
     mark.last = frame
@@ -273,7 +293,7 @@ def best_candidate(
     window = sums[mark.origin - frame :]
     reach = min(history, frame)
     best = -math.inf
-    if mark.waiting > 0:
+    if mark.waiting + mark.leaving > 0:
         for rank in range(top.size):
             weight = weight_of(prefix, frame, top[rank], history, 1.0)
             total = with_waiting(window[np.uintp(top[rank])], mark, run, frame, top[rank])
