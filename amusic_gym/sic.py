@@ -30,7 +30,7 @@ SLACK = 512
 DOUBLES = 8
 """Numbers in a cache line."""
 
-LARGE = 16_384
+LARGE = 65_536
 """Places from which the sums of a map are too much for a fast cache: rows are added together."""
 
 DEPTH = 8

@@ -32,6 +32,9 @@ largest two; route_bytes_per_place. With --big, a memory-mapped bank of 3.2 GB i
 temporary folder and driven through with 2 GB of memory: big_anonymous_mb, big_run_us,
 big_share_of_read (time to copy the row / to take it into the sums and correct).
 
+With --layouts, ways to keep the sums that were tried and rejected: rejected_… (time of each / of
+what took its place) and waiting_at_R (time of rows that wait / of rows added at once).
+
 Beside the JSON object stands a roofline: what each part does per second against what memory and
 arithmetic of this machine allow.
 """
@@ -69,6 +72,7 @@ from _bench_growth import (  # noqa: E402
 )
 from _bench_images import QUICK_IMAGES, ImageSizes, measure_images  # noqa: E402
 from _bench_kernels import BYTES_PER_PLACE, push_routes, stream  # noqa: E402
+from _bench_layouts import measure_layouts, measure_waiting  # noqa: E402
 from _bench_material import QUICK, Corrections, Material, Sizes, same  # noqa: E402
 from _bench_start import measure_start  # noqa: E402
 
@@ -353,6 +357,9 @@ def _parser() -> argparse.ArgumentParser:
         "--big", action="store_true", help="also a bank of 3.2 GB, written to a temporary folder"
     )
     parser.add_argument(
+        "--layouts", action="store_true", help="also layouts of the sums that were rejected"
+    )
+    parser.add_argument(
         "--only", nargs="+", metavar="KEY", choices=MEASUREMENTS, help="only these ratios"
     )
     return parser
@@ -400,6 +407,9 @@ def _measure_rest(
     measure_memory(material, report)
     statistics = {"": "evidence", "default_": SICSettings.statistic}
     measure_start(statistics, 1 if args.quick else 5, report)
+    if args.layouts:
+        measure_layouts(material, report)
+        measure_waiting(QUICK_SIZES if args.quick else SIZES[:-1], report)
     if args.big:
         measure_big(QUICK_SHAPE if args.quick else BIG_SHAPE, report)
     product = measure_images(QUICK_IMAGES if args.quick else ImageSizes(), report)

@@ -40,6 +40,11 @@ KEYS = {
     "first_step_cached_seconds",
     "default_first_step_cold_seconds",
     "default_first_step_cached_seconds",
+    "rejected_add_across_lines",
+    "rejected_roots_and_divisions",
+    "rejected_prefix_sums",
+    "waiting_at_100",
+    "waiting_at_400",
     "big_anonymous_mb",
     "big_run_us",
     "big_share_of_read",
@@ -54,7 +59,7 @@ def bench(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_quick_bench_writes_finite_numbers(tmp_path):
     out = tmp_path / "new" / "bench.json"
-    done = bench("--quick", "--big", "--out", str(out))
+    done = bench("--quick", "--big", "--layouts", "--out", str(out))
     assert (done.returncode, done.stderr) == (0, "")
     ratios = json.loads(out.read_text(encoding="utf-8"))
     assert ratios.keys() == KEYS
