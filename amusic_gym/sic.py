@@ -75,8 +75,8 @@ def add_row(sums: Any, base: int, run: Any, frame: int, decay: float) -> None:
         for place in range(row.size):
             window[place] = decay * window[place] + (row[place] - mean) * scale
         return
-    # Up to the next cache line first: the window moves by one place a frame, and storing across
-    # two lines takes twice as long.
+    # Up to the next cache line first: the window moves by one place a frame, and no store should
+    # cross two lines.
     head = min(-np.int64(window.ctypes.data // 8) % DOUBLES, row.size)
     for place in range(head):
         window[place] += (row[place] - mean) * scale
@@ -235,7 +235,7 @@ def weight_of(prefix: Any, frame: int, place: int, history: int, ratio: float) -
 def factors_of(most: int, evidence: bool) -> NDArray[np.float64]:
     """(most + 1,) factors that make statistics of the sums of so many rows, where γ = 1.
 
-    A look-up takes a fourth of the time of a root and a division.
+    To look them up is faster than a root and a division for every candidate.
     """
     counts = np.maximum(np.arange(most + 1.0), 1.0)
     factors: NDArray[np.float64] = 1.0 / (np.sqrt(counts) if evidence else counts)
