@@ -66,10 +66,9 @@ def draw_roofline(measured: tuple[float, list[Point]], roof: Roof, file: Path) -
     axes.loglog(x, np.minimum(bandwidth * x, roof.product) / 1e9, color="0.3")
     axes.annotate(
         "plain stream",
-        (0.1, 0.1 * bandwidth / 1e9),
-        (-6, 8),
+        (0.3, 0.3 * bandwidth / 1e9),
+        (8, -8),
         textcoords="offset points",
-        ha="right",
         color="0.3",
     )
     axes.text(x[-1], 1.05 * roof.product / 1e9, "matrix product", ha="right", color="0.3")
