@@ -397,7 +397,7 @@ class Episodes:
     def _outcome(self, memory: NDArray[np.uint8]) -> Outcome:
         """An outcome whose arrays share one piece of memory: copying that is copying them all.
 
-        To copy arrays of records one by one takes ten times as long.
+        To copy arrays of records one by one takes longer.
         """
         return Outcome(*[np.ndarray(shape, dtype, memory, at) for shape, dtype, at in self._parts])
 
