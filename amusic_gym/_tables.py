@@ -1,8 +1,8 @@
 """Tables in memory that compiled functions read by name: many arrays behind one address.
 
 A named tuple of twenty arrays is some two hundred arguments to a compiled function and to every
-one that it calls; taking them apart costs tens of microseconds per call from Python, and passing
-them on most of the time that Numba compiles. A table is one address.
+one that it calls; taking them apart costs time at every call from Python, and passing them on most
+of the time that Numba compiles. A table is one address.
 """
 
 from __future__ import annotations
