@@ -1,7 +1,7 @@
 """One frame of a batch of routes, compiled: run techniques, correct (SIC), fuse (MuSIC), observe.
 
 This is the only implementation of the environment's dynamics. :class:`amusic_gym.episode.Episodes`
-owns the arrays and calls :func:`plan_routes` and :func:`process_routes`; the single and the vector
+owns the arrays and calls :func:`step_routes` or :func:`step_beliefs`; the single and the vector
 environment own an ``Episodes``. Every array has the batch of N routes as its leading axis and S
 technique slots next (:mod:`amusic_gym.records`).
 """
@@ -34,6 +34,9 @@ IDLE_DECAY = 0.9
 DOUBT = 0.5
 """A frame with p̂ below this is one of doubt."""
 
+PLAN, PROCESS, SHOW = 1, 2, 4
+"""Stages of a step: decide what runs, process what ran, write the outcome."""
+
 
 @spliced
 def correct_frame(state: State, rules: Rules, i: int, s: int, frame: int, out: Outcome) -> int:
@@ -43,11 +46,10 @@ def correct_frame(state: State, rules: Rules, i: int, s: int, frame: int, out: O
         out.routes[i].bad_row = 1 + s * state.routes[i].frames + frame
     sums, mark = state.sums[LIVE, i, s], state.marks[LIVE, i, s]
     push(sums, mark, run, state.ran[i, s], frame, rules.history, rules.gamma)
-    prefix = state.prefix[i, s]
-    values = state.values[s]
-    history, gamma, evidence = rules.history, rules.gamma, rules.evidence
+    counts, prefix, factors = state.counts[i, s], state.prefix[i, s], state.factors
+    history, gamma, evidence, values = rules.history, rules.gamma, rules.evidence, state.values[s]
     return best_candidate(
-        sums, mark, run, prefix, state.factors, frame, history, gamma, evidence, values
+        sums, mark, run, counts, prefix, factors, frame, history, gamma, evidence, values
     )
 
 
@@ -111,7 +113,8 @@ def note_runs(state: State, rules: Rules, i: int, out: Outcome) -> None:
         slot.ran, slot.chosen = out.slots[i, s].ran, False
         if slot.present:
             state.ran[i, s, frame] = slot.ran
-            weigh(state.prefix[i, s], state.ran[i, s], frame, frame + 1, ratio)
+            counts, prefix = state.counts[i, s], state.prefix[i, s]
+            weigh(counts, prefix, state.ran[i, s], frame, frame + 1, ratio)
             if slot.ran:
                 out.routes[i].seconds += slot.seconds
 
@@ -192,7 +195,7 @@ def fuse(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
     for s in range(slots.size):
         if not slots[s].ran:
             continue
-        if s == chosen:
+        if slots[s].place == place:  # it is that of the technique itself
             rival = max(rival, slots[s].rival)
         else:
             top = top_at(state.runs[i, s], frame)
@@ -248,11 +251,11 @@ def stored_statistic(state: State, rules: Rules, i: int, s: int, place: int) -> 
     if place < 0:
         return 0.0
     mark, frame = state.marks[LIVE, i, s], state.slots[i, s].last_run
-    prefix = state.prefix[i, s]
     total = state.sums[LIVE, i, s, mark.origin - frame + place]
     total = with_waiting(total, mark, state.runs[i, s], frame, place)
     ratio = ratio_of(rules.gamma, rules.evidence)
-    weight = weight_of(prefix, frame, place, rules.history, ratio)
+    span = min(rules.history, frame, place)
+    weight = weight_of(state.counts[i, s], state.prefix[i, s], frame, span, ratio)
     return statistic_of(total, weight, state.factors, rules.gamma, rules.evidence)
 
 
@@ -299,7 +302,7 @@ def finish(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None
 
 
 @inner
-def show(state: State, i: int, out: Outcome) -> None:
+def show_route(state: State, i: int, out: Outcome) -> None:
     """Copy what is known of a route to the outcome."""
     route, slots = state.routes[i], state.slots[i]
     for s in range(slots.size):
@@ -317,79 +320,77 @@ def show(state: State, i: int, out: Outcome) -> None:
     observe(route, slots, out.observation[i])
 
 
-@compiled
-def plan_routes(address: int) -> None:
-    """Decide what runs on the next frame of every active route.
-
-    Apart from processing it, because a live route computes the rows that a plan names
-    before they are processed, and the belief (:mod:`amusic_gym.belief`) hears them. A selection
-    comes before (:func:`amusic_gym.selection.select_routes`).
-
-    Args:
-        address: of a table of the layout ``BATCH``, with its outcome zeroed before the step.
-    """
-    batch = batch_at(address)
-    state, rules, out = batch.state, batch.rules, batch.out
-    for i in range(batch.active.size):
-        if batch.active[i]:
-            choose_runs(state, rules, i, batch.actions[i], out)
+@inner
+def plan(state: State, rules: Rules, active: Any, actions: Any, out: Outcome) -> None:
+    """Decide what runs on the next frame of every active route."""
+    for i in range(active.size):
+        if active[i]:
+            choose_runs(state, rules, i, actions[i], out)
             note_runs(state, rules, i, out)
 
 
+@inner
+def show(state: State, active: Any, out: Outcome) -> int:
+    """Write what is known of every route to the outcome.
+
+    Returns:
+        Number of routes on which a row that ran is not finite; their ``bad_row`` tells which.
+    """
+    bad_rows = 0
+    for i in range(active.size):
+        if not active[i]:
+            out.routes[i].technique = -1
+        bad_rows += out.routes[i].bad_row > 0
+        show_route(state, i, out)
+    return bad_rows
+
+
 @compiled
-def process_routes(address: int) -> int:
-    """Process the next frame of every active route as planned, with SIC and MuSIC.
+def step_routes(address: int, stages: int) -> int:
+    """Take the active routes through stages of their next frame, with SIC and MuSIC.
+
+    The plan can be made apart, because a live route computes the rows that it names before they
+    are processed. A selection comes before (:func:`amusic_gym.selection.select_routes`).
 
     Args:
-        address: of a table of the layout ``BATCH``.
+        address: of a table of the layout ``BATCH``, with its outcome zeroed before the step.
+        stages: ``PLAN``, ``PROCESS`` and ``SHOW``, added up.
 
     Returns:
         Number of routes on which a row that ran is not finite; their ``bad_row`` tells which.
     """
     batch = batch_at(address)
-    state, rules, out = batch.state, batch.rules, batch.out
-    bad_rows = 0
-    for i in range(batch.active.size):
-        if batch.active[i]:
-            frame = state.routes[i].frame + 1
-            correct_techniques(state, rules, i, frame, out)
-            if out.routes[i].idle:
-                coast(state.routes[i])
-            else:
-                fuse(state, rules, i, frame, out)
-            finish(state, rules, i, frame, out)
-            bad_rows += out.routes[i].bad_row > 0
-    return bad_rows
+    state, rules, active, out = batch.state, batch.rules, batch.active, batch.out
+    if stages & PLAN:
+        plan(state, rules, active, batch.actions, out)
+    if stages & PROCESS:
+        for i in range(active.size):
+            if active[i]:
+                frame = state.routes[i].frame + 1
+                correct_techniques(state, rules, i, frame, out)
+                if out.routes[i].idle:
+                    coast(state.routes[i])
+                else:
+                    fuse(state, rules, i, frame, out)
+                finish(state, rules, i, frame, out)
+    return show(state, active, out) if stages & SHOW else 0
 
 
 @compiled
-def process_beliefs(address: int) -> int:
-    """As :func:`process_routes` with the statistic ``belief``, which has heard the rows.
+def step_beliefs(address: int, stages: int) -> int:
+    """As :func:`step_routes` with the statistic ``belief``, which hears the rows after the plan.
 
     Apart, so that neither has to be compiled for the other.
     """
     batch = batch_at(address)
-    state, rules, out = batch.state, batch.rules, batch.out
-    bad_rows = 0
-    for i in range(batch.active.size):
-        if batch.active[i]:
-            frame = state.routes[i].frame + 1
-            recall_techniques(state, i, frame, out)
-            believe(state, rules, i, out)
-            finish(state, rules, i, frame, out)
-            bad_rows += out.routes[i].bad_row > 0
-    return bad_rows
-
-
-@compiled
-def show_routes(address: int) -> None:
-    """Show every route as it is: write what is known of it to the outcome.
-
-    Args:
-        address: of a table of the layout ``BATCH``.
-    """
-    batch = batch_at(address)
-    for i in range(batch.active.size):
-        if not batch.active[i]:
-            batch.out.routes[i].technique = -1
-        show(batch.state, i, batch.out)
+    state, rules, active, out = batch.state, batch.rules, batch.active, batch.out
+    if stages & PLAN:
+        plan(state, rules, active, batch.actions, out)
+    if stages & PROCESS:
+        for i in range(active.size):
+            if active[i]:
+                frame = state.routes[i].frame + 1
+                recall_techniques(state, i, frame, out)
+                believe(state, rules, i, out)
+                finish(state, rules, i, frame, out)
+    return show(state, active, out) if stages & SHOW else 0

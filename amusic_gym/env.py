@@ -10,8 +10,9 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
+from amusic_gym.infos import Infos
 from amusic_gym.pictures.viewer import viewer_for
-from amusic_gym.task import RENDER_FPS, RENDER_MODES, Infos, Task, as_seed
+from amusic_gym.task import RENDER_FPS, RENDER_MODES, Task, as_seed
 
 
 class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
@@ -139,6 +140,7 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
         self._viewer = viewer_for(self.task.episodes, self.render_mode, RENDER_FPS)
         self.observation_space = self.task.observation_space
         self.action_space = self.task.action_space
+        self._action_shape = self.task.action_space.shape
         self._running = False
 
     def reset(
@@ -156,7 +158,7 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
         out = self.task.episodes.look()
         if self._viewer is not None:
             self._viewer.look()
-        return out.observation[0], self.task.info(out)
+        return out.observation[0], self.task.first_infos(out)
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, Infos]:
         """Run the chosen techniques on the next frame.
@@ -167,19 +169,12 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
         """
         if not self._running:
             raise ResetNeeded("no episode is running; call reset() first, and after every end")
-        actions = self.task.check_actions(action, ())
-        out, rewards, terms = self.task.step(actions)
-        terminated, truncated = self.task.ends(out)
-        self._running = not (terminated[0] or truncated[0])
+        checked = self.task.check_actions(action, self._action_shape)
+        out, reward, terminated, truncated, infos = self.task.step_one(checked)
+        self._running = not (terminated or truncated)
         if self._viewer is not None:
             self._viewer.look()
-        return (
-            out.observation[0],
-            float(rewards[0]),
-            bool(terminated[0]),
-            bool(truncated[0]),
-            self.task.info(out, terms),
-        )
+        return out.observation[0], reward, terminated, truncated, infos
 
     def render(self) -> str | NDArray[np.uint8] | None:
         """The last frame: one line with ``render_mode="ansi"``, a picture with ``"rgb_array"``.

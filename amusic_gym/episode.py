@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -19,17 +18,16 @@ from amusic_gym import belief
 from amusic_gym.bank import ScoreBank
 from amusic_gym.belief import Minds
 from amusic_gym.calibration import coefficients
-from amusic_gym.dynamics import plan_routes, process_beliefs, process_routes, show_routes
+from amusic_gym.dynamics import PLAN, PROCESS, SHOW, step_beliefs, step_routes
 from amusic_gym.live import ENDLESS
-from amusic_gym.observation import declare_costs, observation_size
+from amusic_gym.observation import declare_costs
 from amusic_gym.records import (
     BATCH,
-    RESULT,
     ROUTE,
     SLOT,
-    SLOT_RESULT,
     Batch,
     Outcome,
+    OutcomeShape,
     Rules,
     State,
 )
@@ -41,9 +39,6 @@ from amusic_gym.sources import Recording
 
 if TYPE_CHECKING:
     from amusic_gym.live_rows import LiveRows
-
-LINE = 64
-"""Bytes of a cache line, on which every array of an outcome begins."""
 
 ROOM = 1024
 """Frames that there is room for at first on such a route; it doubles when it is used up."""
@@ -112,9 +107,7 @@ class Episodes:
         self.stepped = np.zeros(num_routes, np.bool_)  # (N,) processed a frame in the last step
         self._wanted, self._lagging = np.zeros((2, num_routes), np.bool_)  # see belief.Hearing
         self._actions = np.zeros((num_routes, self.action_size), np.bool_)
-        self._parts, size = self._outcome_parts()
-        self._memory = np.zeros(size, np.uint8)  # of the last step's outcome
-        self._out = self._outcome(self._memory)
+        self._out = Outcome(OutcomeShape(num_routes, slots, reselection))  # of the last step
         self._room = (1, 1, 1)  # places, frames and candidates that there is room for
         self.state, self.minds = self._allocate(*self._room)
         self._lay_out()
@@ -131,7 +124,8 @@ class Episodes:
             marks=np.zeros((2, n, s), SUMS),
             sums=np.zeros((sets, n, s, summed)),
             ran=np.zeros((n, s, frames), np.uint8),
-            prefix=np.zeros((n, s, frames + 1)),
+            counts=np.zeros((n, s, frames + 1), np.int32),
+            prefix=np.zeros((n, s, 0 if self.rules.gamma == 1.0 else frames + 1)),
             values=np.zeros((s, candidates)),
             scratch=np.zeros(s),
             factors=factors_of(min(self.settings.history, references) + 1, self.rules.evidence),
@@ -153,7 +147,7 @@ class Episodes:
         old, old_minds = self.state, self.minds
         new, minds = self._allocate(*room)
         self._room = room
-        for name in ("routes", "slots", "runs", "marks", "sums", "ran", "prefix"):
+        for name in ("routes", "slots", "runs", "marks", "sums", "ran", "counts", "prefix"):
             _keep(getattr(old, name), getattr(new, name))
         for name in ("minds", "witnesses", "belief", "hubs"):
             _keep(getattr(old_minds, name), getattr(minds, name))
@@ -196,7 +190,7 @@ class Episodes:
         self._broken[i] = False
         self.routes[i] = route
         state = self.state
-        for array in (state.sums[:, i], state.ran[i], state.prefix[i]):
+        for array in (state.sums[:, i], state.ran[i], state.counts[i], state.prefix[i]):
             array.fill(0)
         record = state.routes[i : i + 1]
         record[:] = np.zeros(1, ROUTE)
@@ -247,55 +241,51 @@ class Episodes:
             for field in ("mean", "scale", "top", "ready"):
                 runs[field][s] = getattr(prepared, field)[t].ctypes.data
 
-    def step(self, active: NDArray[np.bool_], actions: NDArray[np.bool_]) -> Outcome:
+    def step(
+        self, actions: NDArray[np.bool_], active: NDArray[np.bool_] | None = None
+    ) -> Outcome:
         """Process the next frame of the active routes; the others are shown as they are.
 
         A live route whose source has ended is shown as it is, too: :attr:`stepped` tells.
 
         Args:
-            active: (N,) routes to step.
             actions: (N, S), or (N, S + 1) with the re-select bit last.
+            active: (N,) routes to step; None: all.
 
         Raises:
             ValueError: for a row with NaN or infinite scores, naming technique and frame; for
                 what a live route cannot compute, or a step after such an error.
             FileNotFoundError: for a live route's image that is gone.
         """
-        self._set(active, actions)
+        self._actions[...] = actions
+        self.stepped[...] = True if active is None else active
+        self._out.memory.fill(0)
         if self.is_live:
             bad_rows = self._step_live()
         else:
-            self._plan([])
-            bad_rows = self._process()
-        out = self._copied()
+            self._select([])
+            bad_rows = self._run_stages(PLAN | PROCESS | SHOW)
+        out = self._out.copy()
         if bad_rows:
             raise ValueError(self._bad_row(out.routes["bad_row"]))
         return out
 
-    def _set(self, active: NDArray[np.bool_], actions: NDArray[np.bool_] | None = None) -> None:
-        """Tell the kernels whom to step and how, and clear the outcome."""
-        self.stepped[:] = active
-        if actions is not None:
-            self._actions[:] = actions
-        self._memory.fill(0)
-
-    def _plan(self, live: Sequence[int]) -> None:
-        """Select where it is asked for, and decide what runs on the next frame."""
+    def _select(self, live: Sequence[int]) -> None:
+        """Do a selection where it is asked for."""
         if self.rules.block and (live or self._actions[:, -1].any()):
             if self.rules.belief:
                 self._look_back()
             select_routes(self._address)
-        plan_routes(self._address)
 
-    def _process(self) -> int:
-        """Process what was planned; returns the number of routes with a row that is not finite."""
-        if self.rules.belief:
+    def _run_stages(self, stages: int) -> int:
+        """Run stages of a step; returns the number of routes with a row that is not finite."""
+        if not self.rules.belief:
+            return step_routes(self._address, stages)
+        if stages & PLAN:
+            step_beliefs(self._address, PLAN)
+        if stages & PROCESS:
             belief.hear_routes(self._hearing_address)
-            bad_rows = process_beliefs(self._address)
-        else:
-            bad_rows = process_routes(self._address)
-        show_routes(self._address)
-        return bad_rows
+        return step_beliefs(self._address, stages & ~PLAN)
 
     def _step_live(self) -> int:
         """A step with live routes: let their techniques run between the plan and its processing."""
@@ -306,12 +296,13 @@ class Episodes:
         self._broken |= self.stepped
         live = [i for i in live if self.stepped[i]]
         for i in live:
-            self._run(i, self._missed(i) if self.rules.block and self._actions[i, -1] else [])
-        self._plan(live)
+            self._compute(i, self._missed(i) if self.rules.block and self._actions[i, -1] else [])
+        self._select(live)
+        self._run_stages(PLAN)
         for i in live:
             frame = int(self.state.routes[i]["frame"]) + 1
-            self._run(i, [(s, frame) for s in np.flatnonzero(self._out.slots["ran"][i]).tolist()])
-        bad_rows = self._process()
+            self._compute(i, [(s, frame) for s in np.flatnonzero(self._out.slots["ran"][i]).tolist()])
+        bad_rows = self._run_stages(PROCESS | SHOW)
         self._broken &= ~self.stepped
         return bad_rows
 
@@ -344,7 +335,7 @@ class Episodes:
         missed = (self.state.ran[i, :, first:frame] == 0) & present[:, None]
         return [(int(s), int(first + past)) for s, past in np.argwhere(missed)]
 
-    def _run(self, i: int, wanted: Sequence[tuple[int, int]]) -> None:
+    def _compute(self, i: int, wanted: Sequence[tuple[int, int]]) -> None:
         """Run techniques of a live route on frames, and let the kernels know where the rows are."""
         route, drive = self.routes[i], self.drives[i]
         assert route is not None
@@ -358,9 +349,10 @@ class Episodes:
 
     def look(self) -> Outcome:
         """Show every route as it is, without a step."""
-        self._set(np.zeros(self.num_routes, np.bool_))
-        show_routes(self._address)
-        return self._copied()
+        self.stepped[...] = False
+        self._out.memory.fill(0)
+        self._run_stages(SHOW)
+        return self._out.copy()
 
     @property
     def action_size(self) -> int:
@@ -378,39 +370,11 @@ class Episodes:
             f" frame {route.start + frame}; mend the scores and write the bank again"
         )
 
-    def _outcome_parts(self) -> tuple[list[tuple[tuple[int, ...], Any, int]], int]:
-        """Shape, dtype and place in memory of each array of an outcome; bytes of them all."""
-        n, s = self.num_routes, self.slots
-        parts: list[tuple[tuple[int, ...], Any, int]] = []
-        end = 0
-        arrays: tuple[tuple[tuple[int, ...], np.dtype[Any]], ...] = (
-            ((n,), RESULT),
-            ((n, s), SLOT_RESULT),
-            ((n, s, self.rules.block), np.dtype(np.float64)),
-            ((n, observation_size(s)), np.dtype(np.float32)),
-        )
-        for shape, dtype in arrays:
-            parts.append((shape, dtype, end))
-            end += math.ceil(math.prod(shape) * dtype.itemsize / LINE) * LINE
-        return parts, end
-
-    def _outcome(self, memory: NDArray[np.uint8]) -> Outcome:
-        """An outcome whose arrays share one piece of memory: copying that is copying them all.
-
-        To copy arrays of records one by one takes longer.
-        """
-        return Outcome(*[np.ndarray(shape, dtype, memory, at) for shape, dtype, at in self._parts])
-
-    def _copied(self) -> Outcome:
-        """The outcome, in arrays of its own."""
-        return self._outcome(self._memory.copy())
-
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore a copy and write the addresses of its own banks' rows."""
         self.__dict__.update(state)
         minds, witnesses = self.minds.minds[0], self.minds.witnesses[0]  # views again
         self.state = self.state._replace(minds=minds, witnesses=witnesses)
-        self._out = self._outcome(self._memory)
         self._lay_out()
         for i in range(self.num_routes):
             self._point(i)

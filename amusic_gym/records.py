@@ -6,12 +6,15 @@
 
 from __future__ import annotations
 
+import math
+import struct
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym._tables import Layout, reader
+from amusic_gym.observation import observation_size
 from amusic_gym.rows import RUN
 from amusic_gym.sic import SUMS
 
@@ -71,7 +74,8 @@ SLOT = np.dtype(
         ("sharpness", np.float64),  # belief: how sharp they are on average, of at most 1
         ("weight", np.float64),  # belief: of the last row, less where it repeats the one before
         ("lagged", np.int64),  # frames before this one are in the lagged sums
-    ]
+    ],
+    align=True,
 )
 
 MIND = np.dtype(
@@ -132,7 +136,8 @@ class State(NamedTuple):
     marks: NDArray[Any]  # (2, N, S) SUMS
     sums: NDArray[np.float64]  # (2, N, S, R + SLACK); one set only without re-selection
     ran: NDArray[np.uint8]  # (N, S, Q)
-    prefix: NDArray[np.float64]  # (N, S, Q + 1) prefix weights
+    counts: NDArray[np.int32]  # (N, S, Q + 1), see sic.weigh
+    prefix: NDArray[np.float64]  # (N, S, Q + 1); γ = 1: (N, S, 0)
     values: NDArray[np.float64]  # (S, K) scratch: statistics of the candidates
     scratch: NDArray[np.float64]  # (S,) more scratch
     factors: NDArray[np.float64]  # (F + 2,), see sic.factors_of; no longer than the map needs
@@ -160,7 +165,8 @@ RESULT = np.dtype(
         ("ended", np.bool_),  # the route's last frame has been processed
         ("happened", np.bool_),  # a selection was done in this step
         ("bad_row", np.int64),  # 0, or 1 + slot · frames + frame of a row that is not finite
-    ]
+    ],
+    align=True,
 )
 
 SLOT_RESULT = np.dtype(
@@ -174,17 +180,86 @@ SLOT_RESULT = np.dtype(
         ("selected", np.bool_),  # in the set that a selection of this step chose
         ("tally", np.int64),  # frames of the block on which MuSIC chose the technique
         ("late_runs", np.int64),  # after-the-fact runs of this step
-    ]
+    ],
+    align=True,
 )
 
 
-class Outcome(NamedTuple):
-    """What one step gives; fresh arrays every time."""
+LINE = 64
+"""Bytes of a cache line, on which every array of an outcome begins."""
 
-    routes: NDArray[Any]  # (N,) RESULT
-    slots: NDArray[Any]  # (N, S) SLOT_RESULT
-    corrections: NDArray[np.float64]  # (N, S, M) over the block of a selection
-    observation: NDArray[np.float32]  # (N, D)
+_KINDS = [RESULT[name].kind for name in RESULT.names or ()]
+_NUMBERS = struct.Struct("".join({"i": "q", "f": "d", "b": "?"}[kind] for kind in _KINDS))
+"""Reads a ``RESULT`` as Python's numbers."""
+
+
+class OutcomeShape:
+    """Where the arrays of an outcome lie in its memory.
+
+    Args:
+        routes: N.
+        slots: S.
+        block: M, 0 without re-selection.
+    """
+
+    def __init__(self, routes: int, slots: int, block: int) -> None:
+        self.block = block
+        self.size = 0  # bytes
+        self.routes = self._place((routes,), RESULT)
+        self.slots = self._place((routes, slots), SLOT_RESULT)
+        self.corrections = self._place((routes, slots, block), np.float64)
+        self.observation = self._place((routes, observation_size(slots)), np.float32)
+
+    def _place(self, shape: tuple[int, ...], kind: Any) -> tuple[tuple[int, ...], Any, int]:
+        dtype, start = np.dtype(kind), self.size
+        self.size += math.ceil(math.prod(shape) * dtype.itemsize / LINE) * LINE
+        return shape, dtype, start
+
+
+class Outcome:
+    """What one step gives. Its arrays share one piece of memory: copying that is copying all.
+
+    Args:
+        shape: where each of them lies.
+        memory: zeros if None.
+    """
+
+    __slots__ = ("memory", "shape")
+
+    def __init__(self, shape: OutcomeShape, memory: NDArray[np.uint8] | None = None) -> None:
+        self.shape = shape
+        self.memory = np.zeros(shape.size, np.uint8) if memory is None else memory
+
+    def copy(self) -> Outcome:
+        """One with memory of its own."""
+        return Outcome(self.shape, self.memory.copy())
+
+    def _array(self, shape: tuple[int, ...], dtype: Any, start: int) -> NDArray[Any]:
+        return np.ndarray(shape, dtype, self.memory, start)
+
+    @property
+    def routes(self) -> NDArray[Any]:
+        """(N,) RESULT."""
+        return self._array(*self.shape.routes)
+
+    @property
+    def slots(self) -> NDArray[Any]:
+        """(N, S) SLOT_RESULT."""
+        return self._array(*self.shape.slots)
+
+    @property
+    def corrections(self) -> NDArray[np.float64]:
+        """(N, S, M) corrections over the block of a selection."""
+        return self._array(*self.shape.corrections)
+
+    @property
+    def observation(self) -> NDArray[np.float32]:
+        """(N, D) float32."""
+        return self._array(*self.shape.observation)
+
+    def first(self) -> tuple[Any, ...]:
+        """The first route's ``RESULT`` as Python's numbers, sooner than from :attr:`routes`."""
+        return _NUMBERS.unpack_from(self.memory.data)
 
 
 class Batch(NamedTuple):
@@ -209,6 +284,7 @@ BATCH = Layout(
                 "marks": (SUMS, 3),
                 "sums": (np.float64, 4),
                 "ran": (np.uint8, 3),
+                "counts": (np.int32, 3),
                 "prefix": (np.float64, 3),
                 "values": (np.float64, 2),
                 "scratch": (np.float64, 1),

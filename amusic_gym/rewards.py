@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,20 +32,24 @@ class RewardInputs(NamedTuple):
 Reward = Callable[[RewardInputs], Mapping[str, NDArray[np.float64]]]
 
 
+Number = TypeVar("Number", float, NDArray[np.float64])
+
+
+def trade(correctness: Number, compute: Number, compute_weight: Number) -> dict[str, Number]:
+    """Correctness and −λ · compute: the terms of the rewards that come with the environment."""
+    return {"correctness": correctness, "compute": -compute_weight * compute}
+
+
 def estimated(inputs: RewardInputs) -> dict[str, NDArray[np.float64]]:
     """p̂ − λ · (seconds of the step / Σ seconds): needs no ground truth."""
-    return {
-        "correctness": inputs.outcome.routes["p_correct"],
-        "compute": -inputs.compute_weight * inputs.outcome.routes["compute"],
-    }
+    routes = inputs.outcome.routes
+    return trade(routes["p_correct"], routes["compute"], inputs.compute_weight)
 
 
 def ground_truth(inputs: RewardInputs) -> dict[str, NDArray[np.float64]]:
     """1 for a true place − λ · compute: for study, never the default."""
-    return {
-        "correctness": inputs.correct().astype(np.float64),
-        "compute": -inputs.compute_weight * inputs.outcome.routes["compute"],
-    }
+    routes = inputs.outcome.routes
+    return trade(inputs.correct().astype(np.float64), routes["compute"], inputs.compute_weight)
 
 
 REWARDS: dict[str, Reward] = {"estimated": estimated, "ground_truth": ground_truth}

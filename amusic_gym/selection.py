@@ -86,7 +86,8 @@ def run_block(
     for past in range(first, frame):
         out.slots[i, s].late_runs += 1 - ran[past]
         ran[past] = 1
-    weigh(state.prefix[i, s], ran, first, frame, ratio_of(rules.gamma, rules.evidence))
+    ratio = ratio_of(rules.gamma, rules.evidence)
+    weigh(state.counts[i, s], state.prefix[i, s], ran, first, frame, ratio)
     rebuild_lagged(state, rules, i, s, first)
     for past in range(first, frame):
         winner = correct_frame(state, rules, i, s, past, out)

@@ -202,13 +202,22 @@ def push(sums: Any, mark: Any, run: Any, ran: Any, frame: int, history: int, gam
 
 
 @compiled
-def weigh(prefix: Any, ran: Any, first: int, stop: int, ratio: float) -> None:
-    """Extend the prefix weights: ``prefix[p + 1]`` = Σ ratio^(p−i) over the frames i ≤ p that ran.
+def weigh(counts: Any, prefix: Any, ran: Any, first: int, stop: int, ratio: float) -> None:
+    """Extend what weights are made of, from frame ``first`` on to before ``stop``.
 
-    ``ratio`` is γ² for evidence and γ for mean; ``prefix`` is (Q + 1,) and starts with 0.
+    Args:
+        counts: (Q + 1,) int32; ``counts[p + 1]`` is how many of the frames i ≤ p ran.
+        prefix: (Q + 1,) float64; ``prefix[p + 1]`` = Σ ratio^(p−i) over these. Not used where the
+            ratio is 1: counts are the same, in half the memory.
+        ran: (Q,) uint8.
+        first: first new frame.
+        stop: frame after the last.
+        ratio: γ² for evidence and γ for mean.
     """
     for frame in range(first, stop):
-        prefix[frame + 1] = ratio * prefix[frame] + ran[frame]
+        counts[frame + 1] = counts[frame] + ran[frame]
+        if ratio != 1.0:
+            prefix[frame + 1] = ratio * prefix[frame] + ran[frame]
 
 
 @compiled
@@ -218,17 +227,18 @@ def ratio_of(gamma: float, evidence: bool) -> float:
 
 
 @inner
-def weight_of(prefix: Any, frame: int, place: int, history: int, ratio: float) -> float:
-    """Σw² (evidence) or Σw (mean) of the frames that count for a candidate.
+def weight_of(counts: Any, prefix: Any, frame: int, span: int, ratio: float) -> float:
+    """Σw² (evidence) or Σw (mean) over ``frame`` and the ``span`` frames before it.
 
-    The walk back stops at the start of the history, of the run or of the map, whichever is
-    nearest.
+    For a candidate, the walk back stops at the start of the history, of the run or of the map,
+    whichever is nearest.
     """
-    span = min(history, frame, place)
-    before = prefix[frame - span]
-    if ratio != 1.0:
-        before *= ratio ** (span + 1)
-    weight: float = prefix[frame + 1] - before
+    before = np.uintp(frame - span)  # unsigned: no check for a negative index
+    weight: float
+    if ratio == 1.0:
+        weight = counts[frame + 1] - counts[before]
+    else:
+        weight = prefix[frame + 1] - prefix[before] * ratio ** (span + 1)
     return weight
 
 
@@ -274,6 +284,7 @@ def best_candidate(
     sums: Any,
     mark: Any,
     run: Any,
+    counts: Any,
     prefix: Any,
     factors: Any,
     frame: int,
@@ -295,7 +306,7 @@ def best_candidate(
     best = -math.inf
     if mark.waiting + mark.leaving > 0:
         for rank in range(top.size):
-            weight = weight_of(prefix, frame, top[rank], history, 1.0)
+            weight = weight_of(counts, prefix, frame, min(reach, top[rank]), 1.0)
             total = with_waiting(window[np.uintp(top[rank])], mark, run, frame, top[rank])
             statistic = statistic_of(total, weight, factors, 1.0, evidence)
             out[rank] = statistic
@@ -303,14 +314,22 @@ def best_candidate(
     elif gamma == 1.0 and frame - reach >= mark.since:
         # It ran on every frame that counts: how many these are needs no look-up.
         for rank in range(top.size):
-            total = window[np.uintp(top[rank])]  # unsigned: no check for a negative index
+            total = window[np.uintp(top[rank])]
             statistic = total * factors[np.uintp(min(reach, top[rank]) + 1)]
+            out[rank] = statistic
+            best = max(best, statistic)
+    elif gamma == 1.0:
+        newest = counts[frame + 1]
+        for rank in range(top.size):
+            before = counts[np.uintp(frame - min(reach, top[rank]))]
+            total = window[np.uintp(top[rank])]
+            statistic = total * factors[np.uintp(newest - before)]
             out[rank] = statistic
             best = max(best, statistic)
     else:
         ratio = ratio_of(gamma, evidence)
         for rank in range(top.size):
-            weight = weight_of(prefix, frame, top[rank], history, ratio)
+            weight = weight_of(counts, prefix, frame, min(reach, top[rank]), ratio)
             total = window[np.uintp(top[rank])]
             statistic = statistic_of(total, weight, factors, gamma, evidence)
             out[rank] = statistic
@@ -358,6 +377,7 @@ def correct_one(
     mark: Any,
     run: Any,
     ran: Any,
+    counts: Any,
     prefix: Any,
     factors: Any,
     frame: int,
@@ -368,8 +388,10 @@ def correct_one(
 ) -> int:
     """Correct one technique on a frame: :func:`push`, :func:`weigh`, :func:`best_candidate`."""
     push(sums, mark, run, ran, frame, history, gamma)
-    weigh(prefix, ran, frame, frame + 1, ratio_of(gamma, evidence))
-    return best_candidate(sums, mark, run, prefix, factors, frame, history, gamma, evidence, out)
+    weigh(counts, prefix, ran, frame, frame + 1, ratio_of(gamma, evidence))
+    return best_candidate(
+        sums, mark, run, counts, prefix, factors, frame, history, gamma, evidence, out
+    )
 
 
 class Match(NamedTuple):
@@ -392,19 +414,21 @@ class _History:
 
     buffer: RowBuffer
     ran: NDArray[np.uint8]  # (C,)
-    prefix: NDArray[np.float64]  # (C + 1,) prefix weights
+    counts: NDArray[np.int32]  # (C + 1,), see weigh
+    prefix: NDArray[np.float64]  # (C + 1,)
 
     @classmethod
     def empty(cls, capacity: int, references: int, candidates: int) -> _History:
         """Room for ``capacity`` frames."""
         buffer = RowBuffer.empty(capacity, references, candidates)
-        return cls(buffer, np.zeros(capacity, np.uint8), np.zeros(capacity + 1))
+        counts = np.zeros(capacity + 1, np.int32)
+        return cls(buffer, np.zeros(capacity, np.uint8), counts, np.zeros(capacity + 1))
 
     def grown(self) -> _History:
         """The same with twice the room."""
         room = len(self.ran)
-        ran, prefix = np.pad(self.ran, (0, room)), np.pad(self.prefix, (0, room))
-        return _History(self.buffer.grown(2 * room), ran, prefix)
+        padded = (np.pad(array, (0, room)) for array in (self.ran, self.counts, self.prefix))
+        return _History(self.buffer.grown(2 * room), *padded)
 
     def run(self) -> Any:
         """RUN record of these rows."""
@@ -494,17 +518,17 @@ class SIC:
     def _weigh(self, frame: int) -> None:
         rows = self._history
         ratio = ratio_of(self.settings.gamma, self.settings.statistic == "evidence")
-        weigh(rows.prefix, rows.ran, frame, frame + 1, ratio)
+        weigh(rows.counts, rows.prefix, rows.ran, frame, frame + 1, ratio)
 
     def _match(self, frame: int) -> Match:
         settings, rows, mark = self.settings, self._history, self._mark[0]
         evidence = settings.statistic == "evidence"
         run, history, gamma = rows.run(), settings.history, settings.gamma
         prepare(run, frame)
-        top, prefix = rows.buffer.top[frame], rows.prefix
+        top = rows.buffer.top[frame]
         values = np.empty(top.size)
         winner = correct_one(
-            *(self._sums, mark, run, rows.ran, prefix, self._factors),
+            *(self._sums, mark, run, rows.ran, rows.counts, rows.prefix, self._factors),
             *(frame, history, gamma, evidence, values),
         )
         return Match(int(top[winner]), float(values[winner]), float(values[winner] - values[0]))

@@ -9,7 +9,8 @@ from __future__ import annotations
 import inspect
 import math
 import operator
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,25 +19,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.checks import flag, number, whole
 from amusic_gym.episode import Episodes, Route
+from amusic_gym.infos import Infos, Terms, batch_infos, single_infos
 from amusic_gym.live import ENDLESS
 from amusic_gym.names import suggest
 from amusic_gym.observation import bounds
 from amusic_gym.records import RESULT, Outcome
-from amusic_gym.rewards import Reward, RewardInputs, as_reward
+from amusic_gym.rewards import Reward, RewardInputs, as_reward, estimated, trade
 from amusic_gym.settings import COVERAGE, SICSettings
 from amusic_gym.sources import BankLike, Recording, RouteSource, as_source, columns_for
-
-Infos = dict[str, Any]
-Terms = dict[str, NDArray[np.float64]]
 
 RESET_OPTIONS = ("bank", "start", "compute_weight")
 RENDER_MODES = ("ansi", "rgb_array", "human")
 RENDER_FPS = 10
 """Frames per second of videos, and the most that the window of "human" shows."""
 
-ROUTE_INFOS = RESULT.names[: 1 + RESULT.names.index("compute_weight")]  # type: ignore[index,union-attr]
-TECHNIQUE_INFOS = ("ran", "place", "statistic", "correction", "present", "run_seconds")
-SELECTION_INFOS = ("tally", "selected", "late_runs")
+_FRAME, _ENDED, _P_CORRECT, _COMPUTE, _COMPUTE_WEIGHT = (
+    list(RESULT.names or ()).index(name)
+    for name in ("frame", "ended", "p_correct", "compute", "compute_weight")
+)
 
 
 class Task:
@@ -112,7 +112,6 @@ class Task:
             allow_idle=flag("allow_idle", allow_idle),
         )
         self.block = block
-        self._everyone = np.ones(num_routes, np.bool_)
         self.observation_space = spaces.Box(*bounds(self.slots), dtype=np.float32)
         self.action_space = spaces.MultiBinary(self.episodes.action_size)
 
@@ -193,24 +192,27 @@ class Task:
                 raise ValueError(f"reset option {name} is {value!r}; give a {kind}") from None
         return given
 
-    def check_actions(self, actions: ArrayLike, batch: tuple[int, ...]) -> NDArray[np.bool_]:
-        """Actions as (N, A) bool; values are checked, not the dtype.
+    def check_actions(self, actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """Actions as booleans; values are checked, not the dtype.
+
+        Args:
+            actions: of one route or of all.
+            shape: (A,) or (N, A), what they must have.
 
         Raises:
             ValueError: for a wrong shape or any value but 0 and 1.
         """
         given = np.asarray(actions)
-        shape = (*batch, *self.action_space.shape)
         if given.shape != shape:
             raise ValueError(f"action of shape {given.shape}; the action space has {shape}")
-        if given.dtype.kind in "bi" and given.itemsize == 1:  # stripped of 0 and 1, nothing is left
+        if given.dtype.char in "?bB":  # bytes: stripped of 0 and 1, nothing is left
             valid = not given.tobytes().strip(b"\0\1")
         else:
             valid = bool(((given == 0) | (given == 1)).all())
         if not valid:
             wrong = given[(given != 0) & (given != 1)][0]
             raise ValueError(f"action value {wrong}; {self.action_space} takes 0 and 1 only")
-        return given.astype(np.bool_).reshape(self.episodes.num_routes, -1)
+        return given.astype(np.bool_)
 
     def step(
         self, actions: NDArray[np.bool_], active: NDArray[np.bool_] | None = None
@@ -220,25 +222,49 @@ class Task:
         Returns:
             Outcome, rewards and their terms, all with leading N; 0 where no frame was processed.
         """
-        out = self.episodes.step(self._everyone if active is None else active, actions)
-        weights = out.routes["compute_weight"]
-        terms = self._terms(RewardInputs(out, weights, lambda: self.correct(out)))
+        out = self.episodes.step(actions, active)
+        terms = self._terms(out)
         if active is not None or self.episodes.is_live:  # a source may have ended
             kept = self.episodes.stepped
             terms = {name: np.where(kept, term, 0.0) for name, term in terms.items()}
-        return out, sum(terms.values(), np.zeros(len(out.routes))), terms
+        return out, sum(terms.values(), np.zeros(self.episodes.num_routes)), terms
+
+    def step_one(self, actions: NDArray[np.bool_]) -> tuple[Outcome, float, bool, bool, Infos]:
+        """As :meth:`step` and :meth:`ends` of a batch of one, in Python's numbers, with its infos.
+
+        The reward that an environment has by default is not worth NumPy's arrays of one.
+        """
+        if self.reward is estimated and not self.episodes.is_live:
+            out = self.episodes.step(actions)
+            result = out.first()
+            terms = trade(result[_P_CORRECT], result[_COMPUTE], result[_COMPUTE_WEIGHT])
+            reward = sum(terms.values())
+        else:
+            out, rewards, arrays = self.step(actions)
+            result, reward = out.first(), rewards.item()
+            terms = {name: term.item() for name, term in arrays.items()}
+        terminated = result[_ENDED]
+        truncated = self._late(result[_FRAME]) and not terminated
+        return out, reward, terminated, truncated, single_infos(out, result, terms)
 
     def ends(self, out: Outcome) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """(N,) whether each route has terminated, and whether it was truncated."""
-        terminated = out.routes["ended"].copy()
+        routes = out.routes
+        terminated = routes["ended"].copy()
         if self.episode_length is None:
             return terminated, np.zeros_like(terminated)
-        late = out.routes["frame"] + 1 >= self.episode_length
-        return terminated, late & ~terminated
+        return terminated, self._late(routes["frame"]) & ~terminated
 
-    def _terms(self, inputs: RewardInputs) -> Terms:
+    def _late(self, frame: Any) -> Any:
+        """Whether a frame, or each of several, is the last that an episode may have."""
+        return frame + 1 >= (self.episode_length or ENDLESS)
+
+    def _terms(
+        self, out: Outcome, correct: Callable[[], NDArray[np.bool_]] | None = None
+    ) -> Terms:
         """Terms of the reward by name, each (N,); a single number holds for all routes."""
-        terms = self.reward(inputs)
+        weights = out.routes["compute_weight"]
+        terms = self.reward(RewardInputs(out, weights, correct or partial(self.correct, out)))
         if not isinstance(terms, Mapping) or not terms:
             raise ValueError(
                 f"the reward gave {terms!r}; let it return named terms, for example {{'mine': ...}}"
@@ -271,40 +297,18 @@ class Task:
 
     def infos(self, out: Outcome, terms: Terms | None = None) -> Infos:
         """Infos of the batch: name → array with leading N; the same names at every step."""
-        routes, slots = out.routes, out.slots
-        infos: Infos = {name: routes[name].copy() for name in ROUTE_INFOS}
-        for name in TECHNIQUE_INFOS:
-            infos[name] = slots[name].copy()
-        infos["reward_terms"] = dict(self._no_terms(out) if terms is None else terms)
-        if self.block:
-            infos["selection"] = {
-                "happened": routes["happened"].copy(),
-                "corrections": out.corrections,
-                **{name: slots[name].copy() for name in SELECTION_INFOS},
-            }
-        return infos
+        return batch_infos(out, self._no_terms(out) if terms is None else terms)
 
-    def info(self, out: Outcome, terms: Terms | None = None) -> Infos:
-        """Infos of a batch of one as a single environment gives them: numbers and (T,) arrays."""
-        numbers, slots = out.routes.item(), out.slots[0]
-        info: Infos = dict(zip(ROUTE_INFOS, numbers, strict=False))
-        for name in TECHNIQUE_INFOS:
-            info[name] = slots[name].copy()
-        given = self._no_terms(out) if terms is None else terms
-        info["reward_terms"] = {name: term.item() for name, term in given.items()}
-        if self.block:
-            info["selection"] = {
-                "happened": out.routes["happened"].item(),
-                "corrections": out.corrections[0],
-                **{name: slots[name].copy() for name in SELECTION_INFOS},
-            }
-        return info
+    def first_infos(self, out: Outcome) -> Infos:
+        """Infos of a batch of one before its first step, as a single environment gives them."""
+        terms = {name: term.item() for name, term in self._no_terms(out).items()}
+        return single_infos(out, out.first(), terms)
 
     def _no_terms(self, out: Outcome) -> Terms:
         """Zeros in place of a reward's terms, before the first step."""
         zeros = np.zeros(self.episodes.num_routes)
-        inputs = RewardInputs(out, out.routes["compute_weight"], lambda: zeros.astype(np.bool_))
-        return {name: np.zeros_like(zeros) for name in self._terms(inputs)}
+        terms = self._terms(out, lambda: zeros.astype(np.bool_))
+        return {name: np.zeros_like(zeros) for name in terms}
 
     def describe(self, i: int) -> str:
         """One line on route ``i``, for ``render_mode="ansi"``."""
@@ -340,22 +344,3 @@ def as_seed(seed: int | None) -> int | None:
     if number < 0:
         raise ValueError(f"seed is {seed!r}; give a whole number >= 0")
     return number
-
-
-def masked(infos: Infos, mask: NDArray[np.bool_]) -> Infos:
-    """Infos as Gymnasium's vector environments give them: zero and unset outside ``mask``."""
-    count = sum(1 + (len(value) if isinstance(value, dict) else 0) for value in infos.values())
-    masks = iter(np.repeat(mask[np.newaxis], count, axis=0))  # a row each: none is shared
-    return _masked(infos, None if mask.all() else mask, masks)
-
-
-def _masked(infos: Infos, mask: NDArray[np.bool_] | None, masks: Iterator[Any]) -> Infos:
-    result: Infos = {}
-    for name, value in infos.items():
-        if isinstance(value, dict):
-            value = _masked(value, mask, masks)
-        elif mask is not None:
-            kept = mask.reshape(-1, *[1] * (value.ndim - 1))
-            value = np.where(kept, value, np.zeros_like(value))
-        result[name], result["_" + name] = value, next(masks)
-    return result

@@ -12,9 +12,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from amusic_gym.infos import Infos, masked
 from amusic_gym.names import suggest
 from amusic_gym.pictures.viewer import Viewer, viewer_for
-from amusic_gym.task import RENDER_FPS, RENDER_MODES, Infos, Task, as_seed, masked
+from amusic_gym.task import RENDER_FPS, RENDER_MODES, Task, as_seed
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -61,6 +62,7 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
         self.single_action_space = self.task.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        self._action_shape = (num_envs, self.task.episodes.action_size)
         self._generators = [seeding.np_random()[0] for _ in range(num_envs)]
         self._begun = np.zeros(num_envs, np.bool_)
         self._ended = np.zeros(num_envs, np.bool_)
@@ -132,7 +134,7 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
             ValueError: for actions outside the action space.
         """
         self._check_running()
-        checked = self.task.check_actions(actions, (self.num_envs,))
+        checked = self.task.check_actions(actions, self._action_shape)
         active = None
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._ended.any():
             active = ~self._ended

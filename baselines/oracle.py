@@ -115,7 +115,7 @@ class _Belief:
     def _step(episodes: Any, technique: int) -> int:
         actions = np.zeros((1, episodes.slots), np.bool_)
         actions[0, technique] = True
-        out = episodes.step(np.ones(1, np.bool_), actions)
+        out = episodes.step(actions)
         return int(out.routes["prediction"][0])
 
 

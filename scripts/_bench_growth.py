@@ -67,7 +67,7 @@ def measure_growth(places: tuple[int, ...], report: Callable[[str, float, str], 
 def measure_memory(material: Material, report: Callable[[str, float, str], None]) -> None:
     """Bytes of a route's state per technique, place and frame."""
     sizes, state = material.sizes, Corrections(material).state
-    held = sum(array.nbytes for array in (state.sums, state.ran, state.prefix))
+    held = sum(array.nbytes for array in (state.sums, state.ran, state.counts, state.prefix))
     size = held / (sizes.routes * (sizes.places + sizes.frames))
     report("route_bytes_per_place", size, "bytes of a route's state per technique and R + Q")
 

@@ -20,6 +20,7 @@ def correct_routes(
     marks: Any,
     runs: Any,
     ran: Any,
+    counts: Any,
     prefix: Any,
     values: Any,
     factors: Any,
@@ -35,7 +36,8 @@ def correct_routes(
         marks: (N,) SUMS records.
         runs: (N,) RUN records; their rows are prepared.
         ran: (N, Q) uint8.
-        prefix: (N, Q + 1) float64 prefix weights.
+        counts: (N, Q + 1) int32, see ``sic.weigh``.
+        prefix: (N, 0) float64, not used where γ = 1.
         values: (K,) float64 scratch.
         factors: (F + 2,) float64, see ``sic.factors_of``.
         frame: frame index.
@@ -45,10 +47,11 @@ def correct_routes(
     """
     for i in range(places.size):
         ran[i, frame] = 1
-        weigh(prefix[i], ran[i], frame, frame + 1, 1.0)
+        weigh(counts[i], prefix[i], ran[i], frame, frame + 1, 1.0)
         push(sums[i], marks[i], runs[i], ran[i], frame, history, 1.0)
         winner = best_candidate(
-            sums[i], marks[i], runs[i], prefix[i], factors, frame, history, 1.0, True, values
+            *(sums[i], marks[i], runs[i], counts[i], prefix[i], factors),
+            *(frame, history, 1.0, True, values),
         )
         places[i] = top_at(runs[i], frame)[winner]
         statistics[i] = values[winner]

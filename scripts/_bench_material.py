@@ -152,7 +152,7 @@ class Corrections:
             state.marks[0, :, 0],
             state.runs[:, 0],
         )
-        self.histories = (state.ran[:, 0], state.prefix[:, 0])
+        self.histories = (state.ran[:, 0], state.counts[:, 0], state.prefix[:, 0])
         self.values, self.factors = state.values[0], state.factors
         self.places = np.zeros(sizes.routes, np.int64)
         self.statistics = np.zeros(sizes.routes)
