@@ -158,7 +158,7 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
         out = self.task.episodes.look()
         if self._viewer is not None:
             self._viewer.look()
-        return out.observation[0], self.task.first_infos(out)
+        return out.observation[0], self.task.begun_info(out)
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, Infos]:
         """Run the chosen techniques on the next frame.
@@ -170,11 +170,11 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
         if not self._running:
             raise ResetNeeded("no episode is running; call reset() first, and after every end")
         checked = self.task.check_actions(action, self._action_shape)
-        out, reward, terminated, truncated, infos = self.task.step_one(checked)
+        out, reward, terminated, truncated, info = self.task.step_one(checked)
         self._running = not (terminated or truncated)
         if self._viewer is not None:
             self._viewer.look()
-        return out.observation[0], reward, terminated, truncated, infos
+        return out.observation[0], reward, terminated, truncated, info
 
     def render(self) -> str | NDArray[np.uint8] | None:
         """The last frame: one line with ``render_mode="ansi"``, a picture with ``"rgb_array"``.

@@ -186,7 +186,8 @@ class Episodes:
             if isinstance(bank, ScoreBank)
             else bank.drive(route.start, self.settings, self.rules.block)
         )
-        self.is_live = any(drive is not None for drive in self.drives)
+        if self.is_live or self.drives[i] is not None:
+            self.is_live = any(drive is not None for drive in self.drives)
         self._broken[i] = False
         self.routes[i] = route
         state = self.state
@@ -230,20 +231,11 @@ class Episodes:
             drive.point(runs, route.columns)
             return
         assert isinstance(bank, ScoreBank)
-        prepared = bank.prepared(self.settings.candidates)
         runs["start"] = route.start
-        runs["references"] = bank.references
-        runs["candidates"] = prepared.candidates
-        for s, t in enumerate(route.columns):
-            if t < 0:
-                continue
-            runs["scores"][s] = bank.stored[bank.index[t]].ctypes.data
-            for field in ("mean", "scale", "top", "ready"):
-                runs[field][s] = getattr(prepared, field)[t].ctypes.data
+        columns = np.maximum(route.columns, 0)  # an empty slot's are never read
+        bank.prepared(self.settings.candidates).point(runs, columns)
 
-    def step(
-        self, actions: NDArray[np.bool_], active: NDArray[np.bool_] | None = None
-    ) -> Outcome:
+    def step(self, actions: NDArray[np.bool_], active: NDArray[np.bool_] | None = None) -> Outcome:
         """Process the next frame of the active routes; the others are shown as they are.
 
         A live route whose source has ended is shown as it is, too: :attr:`stepped` tells.
@@ -301,7 +293,9 @@ class Episodes:
         self._run_stages(PLAN)
         for i in live:
             frame = int(self.state.routes[i]["frame"]) + 1
-            self._compute(i, [(s, frame) for s in np.flatnonzero(self._out.slots["ran"][i]).tolist()])
+            self._compute(
+                i, [(s, frame) for s in np.flatnonzero(self._out.slots["ran"][i]).tolist()]
+            )
         bad_rows = self._run_stages(PROCESS | SHOW)
         self._broken &= ~self.stepped
         return bad_rows

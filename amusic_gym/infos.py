@@ -22,23 +22,41 @@ TECHNIQUE_INFOS = ("ran", "place", "statistic", "correction", "present", "run_se
 SELECTION_INFOS = ("tally", "selected", "late_runs")
 
 
-def batch_infos(out: Outcome, terms: Terms) -> Infos:
-    """Infos of a batch: name → array with leading N; the same names at every step."""
+def batch_infos(out: Outcome, terms: Terms, mask: NDArray[np.bool_] | None = None) -> Infos:
+    """Infos as Gymnasium's vector environments give them: name → array with leading N.
+
+    Args:
+        out: what the step gave.
+        terms: of the reward.
+        mask: (N,) routes that they are of; zero and unset outside. None: all.
+    """
+    if mask is not None and not mask.all():
+        out = out.only(mask)
+        terms = {name: np.where(mask, term, 0.0) for name, term in terms.items()}
     routes, slots = out.routes, out.slots
     infos: Infos = {name: routes[name] for name in ROUTE_INFOS}
     for name in TECHNIQUE_INFOS:
         infos[name] = slots[name]
-    infos["reward_terms"] = dict(terms)
+    infos["reward_terms"] = _with_masks(dict(terms), mask, len(routes))
     if out.shape.block:
-        infos["selection"] = {"happened": routes["happened"], "corrections": out.corrections}
+        selection = {"happened": routes["happened"], "corrections": out.corrections}
         for name in SELECTION_INFOS:
-            infos["selection"][name] = slots[name]
-    return infos
+            selection[name] = slots[name]
+        infos["selection"] = _with_masks(selection, mask, len(routes))
+    return _with_masks(infos, mask, len(routes))
 
 
-def single_infos(
-    out: Outcome, results: tuple[Any, ...], terms: Mapping[str, float]
-) -> Infos:
+def _with_masks(infos: Infos, mask: NDArray[np.bool_] | None, routes: int) -> Infos:
+    """Infos with a mask (N,) after each, an array of its own."""
+    masks = np.empty((len(infos), routes), np.bool_)
+    masks[:] = True if mask is None else mask
+    result: Infos = {}
+    for (name, value), its in zip(infos.items(), masks, strict=True):
+        result[name], result["_" + name] = value, its
+    return result
+
+
+def single_info(out: Outcome, results: tuple[Any, ...], terms: Mapping[str, float]) -> Infos:
     """Infos of a batch of one as a single environment gives them: numbers and (T,) arrays.
 
     Args:
@@ -57,22 +75,3 @@ def single_infos(
         for name in SELECTION_INFOS:
             infos["selection"][name] = slots[name]
     return infos
-
-
-def masked(infos: Infos, mask: NDArray[np.bool_]) -> Infos:
-    """Infos as Gymnasium's vector environments give them: zero and unset outside ``mask``."""
-    count = sum(1 + (len(value) if isinstance(value, dict) else 0) for value in infos.values())
-    masks = list(np.repeat(mask[np.newaxis], count, axis=0))  # a row each: none is shared
-    return _masked(infos, None if mask.all() else mask, masks)
-
-
-def _masked(infos: Infos, mask: NDArray[np.bool_] | None, masks: list[Any]) -> Infos:
-    result: Infos = {}
-    for name, value in infos.items():
-        if isinstance(value, dict):
-            value = _masked(value, mask, masks)
-        elif mask is not None:
-            kept = mask.reshape(-1, *[1] * (value.ndim - 1))
-            value = np.where(kept, value, np.zeros_like(value))
-        result[name], result["_" + name] = value, masks.pop()
-    return result

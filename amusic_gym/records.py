@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
+import sys
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -193,8 +194,12 @@ _NUMBERS = struct.Struct("".join({"i": "q", "f": "d", "b": "?"}[kind] for kind i
 """Reads a ``RESULT`` as Python's numbers."""
 
 
+KEPT = 4
+"""Outcomes whose memory is used again."""
+
+
 class OutcomeShape:
-    """Where the arrays of an outcome lie in its memory.
+    """Where the arrays of an outcome lie in its memory, and memory to use again.
 
     Args:
         routes: N.
@@ -209,11 +214,37 @@ class OutcomeShape:
         self.slots = self._place((routes, slots), SLOT_RESULT)
         self.corrections = self._place((routes, slots, block), np.float64)
         self.observation = self._place((routes, observation_size(slots)), np.float32)
+        self._kept: list[NDArray[np.uint8]] = []
 
     def _place(self, shape: tuple[int, ...], kind: Any) -> tuple[tuple[int, ...], Any, int]:
         dtype, start = np.dtype(kind), self.size
         self.size += math.ceil(math.prod(shape) * dtype.itemsize / LINE) * LINE
         return shape, dtype, start
+
+    def memory(self) -> NDArray[np.uint8]:
+        """Memory of that size which nobody looks at: an earlier outcome's, or new.
+
+        A system gives a large piece page by page, which takes longer than to write to it.
+        """
+        unused = _unused(self._kept)
+        if unused is None:
+            unused = np.empty(self.size, np.uint8)
+            if len(self._kept) < KEPT:
+                self._kept.append(unused)
+        return unused
+
+
+def _unused(arrays: list[NDArray[Any]]) -> NDArray[Any] | None:
+    """The first of several arrays that nothing but their list refers to, views included."""
+    for array in arrays:
+        if sys.getrefcount(array) <= _REFERENCES:
+            return array
+    return None
+
+
+_REFERENCES = 0
+while _unused([np.zeros(1)]) is None:  # what the list, the loop and the call amount to
+    _REFERENCES += 1
 
 
 class Outcome:
@@ -221,7 +252,7 @@ class Outcome:
 
     Args:
         shape: where each of them lies.
-        memory: zeros if None.
+        memory: (size,); zeros if None.
     """
 
     __slots__ = ("memory", "shape")
@@ -232,7 +263,25 @@ class Outcome:
 
     def copy(self) -> Outcome:
         """One with memory of its own."""
-        return Outcome(self.shape, self.memory.copy())
+        memory = self.shape.memory()
+        memory[:] = self.memory
+        return Outcome(self.shape, memory)
+
+    def only(self, mask: NDArray[np.bool_]) -> Outcome:
+        """A copy that is zero outside a mask (N,) of routes."""
+        twin = self.copy()
+        for array in twin.arrays():
+            array[~mask] = np.zeros((), array.dtype)
+        return twin
+
+    def take(self, other: Outcome, mask: NDArray[np.bool_]) -> None:
+        """Take over what another one holds of the routes of a mask (N,)."""
+        for ours, theirs in zip(self.arrays(), other.arrays(), strict=True):
+            ours[mask] = theirs[mask]
+
+    def arrays(self) -> tuple[NDArray[Any], ...]:
+        """All four."""
+        return self.routes, self.slots, self.corrections, self.observation
 
     def _array(self, shape: tuple[int, ...], dtype: Any, start: int) -> NDArray[Any]:
         return np.ndarray(shape, dtype, self.memory, start)

@@ -37,6 +37,28 @@ class PreparedRows:
         self.scale: NDArray[np.float64] = np.zeros((techniques, queries))
         self.top: NDArray[np.int32] = np.zeros((techniques, queries, self.candidates), np.int32)
         self.ready: NDArray[np.uint8] = np.zeros((techniques, queries), np.uint8)
+        self.references = references
+        self._addresses: dict[str, NDArray[np.int64]] = {}  # (T,) of every technique's entries
+        for name in ("mean", "scale", "top", "ready"):
+            self._addresses[name] = _addresses(getattr(self, name))
+        self._addresses["scores"] = _addresses(bank.stored)[bank.index]
+
+    def point(self, runs: NDArray[Any], columns: NDArray[np.int64]) -> None:
+        """Write to the RUN records (S,) where the rows of techniques lie in memory.
+
+        Args:
+            runs: the records, all but ``start`` and ``entries``.
+            columns: (S,) technique of each.
+        """
+        runs["references"] = self.references
+        runs["candidates"] = self.candidates
+        for name, addresses in self._addresses.items():
+            runs[name] = addresses[columns]
+
+
+def _addresses(array: NDArray[Any]) -> NDArray[np.int64]:
+    """Address of each entry along the first axis."""
+    return array.ctypes.data + array.strides[0] * np.arange(len(array))
 
 
 RUN = np.dtype(

@@ -427,8 +427,12 @@ class _History:
     def grown(self) -> _History:
         """The same with twice the room."""
         room = len(self.ran)
-        padded = (np.pad(array, (0, room)) for array in (self.ran, self.counts, self.prefix))
-        return _History(self.buffer.grown(2 * room), *padded)
+        return _History(
+            buffer=self.buffer.grown(2 * room),
+            ran=np.pad(self.ran, (0, room)),
+            counts=np.pad(self.counts, (0, room)),
+            prefix=np.pad(self.prefix, (0, room)),
+        )
 
     def run(self) -> Any:
         """RUN record of these rows."""

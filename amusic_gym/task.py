@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.checks import flag, number, whole
 from amusic_gym.episode import Episodes, Route
-from amusic_gym.infos import Infos, Terms, batch_infos, single_infos
+from amusic_gym.infos import Infos, Terms, batch_infos, single_info
 from amusic_gym.live import ENDLESS
 from amusic_gym.names import suggest
 from amusic_gym.observation import bounds
@@ -245,7 +245,7 @@ class Task:
             terms = {name: term.item() for name, term in arrays.items()}
         terminated = result[_ENDED]
         truncated = self._late(result[_FRAME]) and not terminated
-        return out, reward, terminated, truncated, single_infos(out, result, terms)
+        return out, reward, terminated, truncated, single_info(out, result, terms)
 
     def ends(self, out: Outcome) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """(N,) whether each route has terminated, and whether it was truncated."""
@@ -259,9 +259,7 @@ class Task:
         """Whether a frame, or each of several, is the last that an episode may have."""
         return frame + 1 >= (self.episode_length or ENDLESS)
 
-    def _terms(
-        self, out: Outcome, correct: Callable[[], NDArray[np.bool_]] | None = None
-    ) -> Terms:
+    def _terms(self, out: Outcome, correct: Callable[[], NDArray[np.bool_]] | None = None) -> Terms:
         """Terms of the reward by name, each (N,); a single number holds for all routes."""
         weights = out.routes["compute_weight"]
         terms = self.reward(RewardInputs(out, weights, correct or partial(self.correct, out)))
@@ -295,14 +293,14 @@ class Task:
 
     # --- infos ----------------------------------------------------------------------------------
 
-    def infos(self, out: Outcome, terms: Terms | None = None) -> Infos:
-        """Infos of the batch: name → array with leading N; the same names at every step."""
-        return batch_infos(out, self._no_terms(out) if terms is None else terms)
+    def begun_infos(self, out: Outcome, mask: NDArray[np.bool_]) -> Infos:
+        """Infos of a batch before the first step of the routes of a mask (N,)."""
+        return batch_infos(out, self._no_terms(out), mask)
 
-    def first_infos(self, out: Outcome) -> Infos:
+    def begun_info(self, out: Outcome) -> Infos:
         """Infos of a batch of one before its first step, as a single environment gives them."""
         terms = {name: term.item() for name, term in self._no_terms(out).items()}
-        return single_infos(out, out.first(), terms)
+        return single_info(out, out.first(), terms)
 
     def _no_terms(self, out: Outcome) -> Terms:
         """Zeros in place of a reward's terms, before the first step."""

@@ -12,9 +12,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from amusic_gym.infos import Infos, masked
+from amusic_gym.infos import Infos, Terms, batch_infos
 from amusic_gym.names import suggest
 from amusic_gym.pictures.viewer import Viewer, viewer_for
+from amusic_gym.records import Outcome
 from amusic_gym.task import RENDER_FPS, RENDER_MODES, Task, as_seed
 
 Floats = NDArray[np.float64]
@@ -99,7 +100,7 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
         out = self.task.episodes.look()
         if self._viewer is not None:
             self._viewer.look()
-        return out.observation, masked(self.task.infos(out), mask)
+        return out.observation, self.task.begun_infos(out, mask)
 
     def _begin(self, i: int, options: Mapping[str, Any] | None = None) -> None:
         self.task.begin(i, self._generators[i], options)
@@ -145,13 +146,13 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
         if active is not None:
             terminated, truncated = terminated & active, truncated & active
         self._ended = terminated | truncated
-        infos = masked(self.task.infos(out, terms), np.ones(self.num_envs, np.bool_))
-        observation = out.observation
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
-            observation, infos = self._restart(observation, infos)
+            infos = self._restart(out, terms)
+        else:
+            infos = batch_infos(out, terms)
         if self._viewer is not None:
             self._viewer.look()
-        return observation, rewards, terminated, truncated, infos
+        return out.observation, rewards, terminated, truncated, infos
 
     def _check_running(self) -> None:
         if not self._begun.all():
@@ -162,25 +163,27 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
                 f"routes {ended} have ended; reset them with options={{'reset_mask': ...}}"
             )
 
-    def _restart(
-        self, observation: NDArray[np.float32], infos: Infos
-    ) -> tuple[NDArray[np.float32], Infos]:
-        """Begin new episodes where one has ended (SAME_STEP), keeping the last observation."""
-        ended = self._ended.copy()
+    def _restart(self, out: Outcome, terms: Terms) -> Infos:
+        """Begin new episodes where one has ended (SAME_STEP), and show their start instead.
+
+        Returns:
+            Infos with those of the steps that ended the others, and their last observations.
+        """
+        ended, last = self._ended.copy(), out.copy()
+        for i in np.flatnonzero(ended):
+            self._begin(int(i))
+        out.take(self.task.episodes.look(), ended)
+        infos = batch_infos(out, {name: np.where(ended, 0.0, term) for name, term in terms.items()})
         final = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(ended):
-            final[i] = observation[i].copy()
-            self._begin(int(i))
-        out = self.task.episodes.look()
-        started = masked(self.task.infos(out), np.ones(self.num_envs, np.bool_))
-        merged = _merge(infos, started, ended)
-        merged |= {
+            final[i] = last.observation[i]
+        infos |= {
             "final_obs": final,
             "_final_obs": ended.copy(),
-            "final_info": masked(_unmasked(infos), ended),
-            "_final_info": ended.copy(),
+            "final_info": batch_infos(last, terms, ended),
+            "_final_info": ended,
         }
-        return np.where(ended[:, None], out.observation, observation), merged
+        return infos
 
     def render(self) -> tuple[Any, ...] | None:
         """What the single environment's ``render`` gives, for every route.
@@ -198,22 +201,3 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
         """Close the window, if there is one."""
         if self._viewer is not None:
             self._viewer.close()
-
-
-def _unmasked(infos: Infos) -> Infos:
-    """The values of vector infos without their masks."""
-    return {
-        name: _unmasked(value) if isinstance(value, dict) else value
-        for name, value in infos.items()
-        if not name.startswith("_")
-    }
-
-
-def _merge(old: Infos, new: Infos, where: Flags) -> Infos:
-    """Infos with the entries of ``new`` on the routes of ``where``."""
-    return {
-        name: _merge(value, new[name], where)
-        if isinstance(value, dict)
-        else np.where(where.reshape(-1, *[1] * (value.ndim - 1)), new[name], value)
-        for name, value in old.items()
-    }
