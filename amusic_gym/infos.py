@@ -1,7 +1,4 @@
-"""Infos of a step: what the outcome holds, by name.
-
-Their arrays are views of the outcome, whose memory belongs to the one step.
-"""
+"""Infos of a step: what the outcome holds, by name, in arrays of their own."""
 
 from __future__ import annotations
 
@@ -34,14 +31,14 @@ def batch_infos(out: Outcome, terms: Terms, mask: NDArray[np.bool_] | None = Non
         out = out.only(mask)
         terms = {name: np.where(mask, term, 0.0) for name, term in terms.items()}
     routes, slots = out.routes, out.slots
-    infos: Infos = {name: routes[name] for name in ROUTE_INFOS}
+    infos: Infos = {name: routes[name].copy() for name in ROUTE_INFOS}
     for name in TECHNIQUE_INFOS:
-        infos[name] = slots[name]
+        infos[name] = slots[name].copy()
     infos["reward_terms"] = _with_masks(dict(terms), mask, len(routes))
     if out.shape.block:
-        selection = {"happened": routes["happened"], "corrections": out.corrections}
+        selection = {"happened": routes["happened"].copy(), "corrections": out.corrections}
         for name in SELECTION_INFOS:
-            selection[name] = slots[name]
+            selection[name] = slots[name].copy()
         infos["selection"] = _with_masks(selection, mask, len(routes))
     return _with_masks(infos, mask, len(routes))
 
@@ -67,11 +64,11 @@ def single_info(out: Outcome, results: tuple[Any, ...], terms: Mapping[str, floa
     slots = out.slots[0]
     infos: Infos = dict(zip(ROUTE_INFOS, results, strict=False))
     for name in TECHNIQUE_INFOS:
-        infos[name] = slots[name]
+        infos[name] = slots[name].copy()
     infos["reward_terms"] = terms
     if out.shape.block:
         happened = results[_RESULTS.index("happened")]
         infos["selection"] = {"happened": happened, "corrections": out.corrections[0]}
         for name in SELECTION_INFOS:
-            infos["selection"][name] = slots[name]
+            infos["selection"][name] = slots[name].copy()
     return infos
