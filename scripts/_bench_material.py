@@ -108,6 +108,27 @@ class Material:
                 got = np.atleast_1d(infos[name])[i]  # type: ignore[index]
                 same(f"{name} of route {i} at frame {frame}", got, getattr(want, name), 1e-9)
 
+    @cached_property
+    def halves(self) -> Any:
+        """(Q, N, T) actions that run a technique on every other frame, at random."""
+        sizes, rng = self.sizes, np.random.default_rng(1)
+        return rng.integers(0, 2, (sizes.frames, sizes.routes, sizes.techniques), np.int8)
+
+    def check_statistics(self, frame: int, ran: Any, infos: dict[str, Any]) -> None:
+        """Compare the statistics of what ran on a frame with NumPy.
+
+        Args:
+            frame: the frame, the last one of those in ``ran``.
+            ran: (frame + 1, N, T) bool, what ran until then.
+            infos: of the frame.
+        """
+        history = self.sizes.history
+        for i, t in np.argwhere(ran[frame]):
+            z, top = self.z[t][i:], self.top[t][i + frame]
+            want = reference.gather_runs(z, ran[:, i, t], frame, top, history).max()
+            what = f"statistic of route {i}, technique {t} at frame {frame}"
+            same(what, infos["statistic"][i, t], float(want), 1e-9)
+
     def check_places(self, frame: int, infos: dict[str, Any]) -> None:
         """Compare a frame's predictions with the true places, where there are any.
 

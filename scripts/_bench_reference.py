@@ -30,6 +30,15 @@ def gather(z: Floats, frame: int, top: Ints, history: int) -> Floats:
     return statistics
 
 
+def gather_runs(z: Floats, ran: NDArray[np.bool_], frame: int, top: Ints, history: int) -> Floats:
+    """As :func:`gather`, of a technique that ran on some frames (Q,) only, this one among them."""
+    ages = np.arange(min(history, frame) + 1)
+    counts = (top[:, None] >= ages) & ran[frame - ages]
+    terms = np.where(counts, z[frame - ages, np.maximum(top[:, None] - ages, 0)], 0.0)
+    statistics: Floats = terms.sum(axis=1) / np.sqrt(counts.sum(axis=1))
+    return statistics
+
+
 def gather_one_by_one(z: Floats, frame: int, top: Ints, history: int) -> list[float]:
     """The same by a loop over the K candidates: one diagonal after the other."""
     found = []

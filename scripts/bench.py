@@ -13,6 +13,7 @@ thread; each figure is a median. All is with the statistic `evidence`, γ = 1, u
 | sic_vs_numpy_loop | … of a NumPy loop over the candidates / ours | more |
 | vector_env_vs_cartpole_vector | steps/s of the vector env / Gymnasium's CartPole one | more |
 | single_env_vs_cartpole | steps/s of the unwrapped single env / unwrapped CartPole | more |
+| half_step_vs_whole | time of the vector step: a random half of the techniques / all | less |
 | ppo_vs_constant_env | wall time of PPO on the env / on one that returns constants | near 1 |
 | ppo_large_vs_constant_env | as above, 256 routes and batches of 8192 | near 1 |
 | sic_share_of_limit | bytes/s of the accumulator's row add / of a plain stream | near 1 |
@@ -225,6 +226,37 @@ def measure_vector_env(material: Material, statistic: str = "evidence") -> Measu
     return Measured(medians.faster, medians, "step", "vector env", "CartPole vector env")
 
 
+def measure_half(material: Material) -> Measured:
+    """The vector env's step with a random half of the techniques against one with all."""
+    sizes, ran = material.sizes, []
+    half, whole = (
+        TechniqueSelectionVectorEnv(sizes.routes, **material.env_arguments()) for _ in range(2)
+    )
+    _play_checked(whole, material, material.everything, {"start": material.starts})
+    half.reset(seed=0, options={"start": material.starts})
+    for frame, action in enumerate(material.halves):
+        infos = half.step(action)[-1]
+        ran.append(infos["ran"])
+        if frame in material.checked_frames():
+            material.check_statistics(frame, np.array(ran), infos)
+    half.reset(seed=0, options={"start": material.starts})
+    actions = iter(material.halves)
+    for _ in range(sizes.frames - sizes.timed):
+        half.step(next(actions))
+
+    def advance() -> None:
+        for _ in range(sizes.steps):
+            half.step(next(actions))
+
+    units = sizes.steps * sizes.routes
+    medians = interleave(
+        Side("half", advance, units),
+        Side("whole", _stepper(whole, material.everything, sizes.steps), units),
+        sizes.rounds,
+    )
+    return Measured(1.0 / medians.faster, medians, "step", "a half", "all techniques")
+
+
 def measure_step_limit(material: Material) -> Measured:
     """The vector env's step, all techniques, against plain streams over as many rows."""
     sizes = material.sizes
@@ -326,6 +358,7 @@ MEASUREMENTS: dict[str, Callable[[Material], Measured]] = {
     "sic_vs_numpy_loop": measure_sic_loop,
     "vector_env_vs_cartpole_vector": measure_vector_env,
     "single_env_vs_cartpole": measure_single_env,
+    "half_step_vs_whole": measure_half,
     "ppo_vs_constant_env": measure_ppo,
     "ppo_large_vs_constant_env": measure_large_ppo,
     "sic_share_of_limit": measure_limit,

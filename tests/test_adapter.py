@@ -178,3 +178,15 @@ def test_one_route_works_alone():
     action = np.ones((1, 3))
     ends = [(done[0], len(infos[0])) for _, _, done, infos in map(wrapped.step, [action] * 4)]
     assert ends == [(False, 0), (True, 4)] * 2
+
+
+def test_what_is_written_to_an_info_stays_in_that_step(bank):
+    env = SB3VecEnv(native(bank=bank))
+    env.reset()
+    actions = np.ones((4, 3), np.int8)
+    first = env.step(actions)[3]
+    first[1]["mine"] = 1
+    second = env.step(actions)[3]
+    assert second == [{}] * 4
+    assert first[1] == {"mine": 1}
+    assert len({id(info) for info in second}) == 4

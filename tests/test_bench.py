@@ -13,6 +13,7 @@ KEYS = {
     "sic_vs_numpy",
     "vector_env_vs_cartpole_vector",
     "single_env_vs_cartpole",
+    "half_step_vs_whole",
     "ppo_vs_constant_env",
     "sic_share_of_limit",
     "hog_describe_ms",
