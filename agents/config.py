@@ -21,7 +21,7 @@ HIGHEST_SEED = 1_000_000_000
 """Seeds beyond would draw the held-out routes for training."""
 
 _LEAST = {
-    **dict.fromkeys(("timesteps", "n_envs", "pool", "n_steps", "epochs"), 1),
+    **dict.fromkeys(("timesteps", "n_envs", "threads", "pool", "n_steps", "epochs"), 1),
     **dict.fromkeys(("evaluate_every", "held_out"), 1),
     "batch_size": 2,  # PPO normalises the advantages of a batch
     "frozen_updates": 0,
@@ -82,6 +82,7 @@ class TrainingConfig:
         timesteps: frames in all, over all routes; imitation counts its own.
         seed: of routes, weights and draws.
         n_envs: routes side by side.
+        threads: that step them; what is learned does not depend on it.
         statistic: SIC's statistic.
         reward: name in `amusic_gym.rewards.REWARDS`; ``"ground_truth"`` learns from what is true on
             the training routes instead of from p̂, which a selector may learn to please.
@@ -111,6 +112,7 @@ class TrainingConfig:
     timesteps: int = 1_000_000
     seed: int = 0
     n_envs: int = 64
+    threads: int = 1
     statistic: str = SICSettings.statistic
     reward: str = "estimated"
     compute_weights: tuple[float, float] = (0.01, 6.0)

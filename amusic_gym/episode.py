@@ -75,6 +75,7 @@ class Episodes:
         reselection: M, or 0 for actions without a re-select bit.
         coverage: E, share of MuSIC's choices that a selection covers.
         allow_idle: whether an empty action runs nothing, instead of the cheapest technique.
+        threads: of the belief.
     """
 
     def __init__(
@@ -86,7 +87,9 @@ class Episodes:
         reselection: int = 0,
         coverage: float = COVERAGE,
         allow_idle: bool = False,
+        threads: int = 1,
     ) -> None:
+        self._threads = threads
         self.num_routes = num_routes
         self.slots = slots
         self.settings = settings
@@ -174,8 +177,7 @@ class Episodes:
             statistics=state.statistics,
             corrections=state.corrections,
         )
-        self._hearing = belief.HEARING.write(hearing)
-        self._hearing_address: int = self._hearing.ctypes.data
+        self._hearers = belief.Hearers(hearing, self._threads)
 
     def begin(self, i: int, route: Route) -> None:
         """Start ``route`` as number ``i`` of the batch; nothing has run on it yet."""
@@ -276,7 +278,7 @@ class Episodes:
         if stages & PLAN:
             step_beliefs(self._address, PLAN)
         if stages & PROCESS:
-            belief.hear_routes(self._hearing_address)
+            self._hearers.hear()
         return step_beliefs(self._address, stages & ~PLAN)
 
     def _step_live(self) -> int:
@@ -306,7 +308,7 @@ class Episodes:
         self.state.late.fill(0)
         self._wanted[:] = self.stepped & self._actions[:, -1] & (frames >= 0)
         self._lagging[:] = self.stepped & live
-        belief.look_back(self._hearing_address)
+        self._hearers.look_back()
 
     def _look_ahead(self, live: Sequence[int]) -> None:
         """Read the images of the next frame; routes whose source has ended take no step."""
@@ -364,6 +366,10 @@ class Episodes:
             f" frame {route.start + frame}; mend the scores and write the bank again"
         )
 
+    def __getstate__(self) -> dict[str, Any]:
+        """All but what is made of the rest."""
+        return {name: value for name, value in self.__dict__.items() if name != "_hearers"}
+
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore a copy and write the addresses of its own banks' rows."""
         self.__dict__.update(state)
@@ -376,7 +382,7 @@ class Episodes:
     def __deepcopy__(self, memo: dict[int, Any]) -> Episodes:
         twin = type(self).__new__(type(self))
         memo[id(self)] = twin
-        twin.__setstate__({k: copy.deepcopy(v, memo) for k, v in self.__dict__.items()})
+        twin.__setstate__({k: copy.deepcopy(v, memo) for k, v in self.__getstate__().items()})
         return twin
 
 

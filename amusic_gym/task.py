@@ -59,6 +59,8 @@ class Task:
         random_start: whether episodes begin anywhere on the route.
         costs: cost model of given banks: ``"measured"``, ``"paper"`` or ``"runs"``.
         reward: ``"estimated"``, ``"ground_truth"`` or a callable (:mod:`amusic_gym.rewards`).
+        threads: of this process that step the routes with ``belief``, each a share of them. The
+            results are the same for any number; more than one pay with many routes.
         render_mode: ``"ansi"`` (a line of text), ``"rgb_array"`` (a picture), ``"human"`` (a
             window, which needs pygame) or None.
 
@@ -84,6 +86,7 @@ class Task:
         random_start: bool = False,
         costs: str = "measured",
         reward: str | Reward = "estimated",
+        threads: int = 1,
         render_mode: str | None = None,
         **unknown: Any,
     ) -> None:
@@ -110,6 +113,7 @@ class Task:
             reselection=block,
             coverage=coverage,
             allow_idle=flag("allow_idle", allow_idle),
+            threads=whole("threads", threads, 1),
         )
         self.block = block
         self.observation_space = spaces.Box(*bounds(self.slots), dtype=np.float32)

@@ -80,6 +80,7 @@ def _parser() -> Parser:
     add("--timesteps", type=int, help=f"frames in all (default: {defaults.timesteps})")
     add("--seed", type=int, help=f"of routes, weights and draws (default: {defaults.seed})")
     add("--n-envs", type=int, help=f"routes side by side (default: {defaults.n_envs})")
+    add("--threads", type=int, help="that step the routes: sooner, the same result (default: 1)")
     for name, of in LEARNING.items():
         kind, default = type(getattr(defaults, name)), getattr(defaults, name)
         add(option(name), type=kind, help=f"{of} (default of ppo: {default})")
@@ -105,7 +106,7 @@ def _config(given: argparse.Namespace) -> TrainingConfig:
     """The defaults, or the configuration of the run to resume, with what was given."""
     from agents.config import WARM_START, training_config
 
-    names = ("algorithm", "timesteps", "seed", "n_envs", "statistic", "reward", *LEARNING)
+    names = [*"algorithm timesteps seed n_envs threads statistic reward".split(), *LEARNING]
     chosen = {name: getattr(given, name) for name in names if getattr(given, name) is not None}
     if given.simulation:
         chosen["simulation"] = ranges(given.simulation)
@@ -119,7 +120,7 @@ def _config(given: argparse.Namespace) -> TrainingConfig:
         defaults = WARM_START if given.warm_start else {}
         return training_config(**{"algorithm": algorithm, **defaults, **chosen})
     base = _stored(given.out)
-    for name in chosen.keys() - {"timesteps"}:
+    for name in chosen.keys() - {"timesteps", "threads"}:
         if chosen[name] != getattr(base, name):
             raise ValueError(
                 f"{name} is {chosen[name]}, but {given.out} was trained with"

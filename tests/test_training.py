@@ -121,6 +121,13 @@ def test_config_json_holds_arguments_versions_banks_and_the_best(run):
     assert config["best"] == max(rows, key=lambda row: row["score"])
 
 
+def test_threads_change_nothing_in_what_is_learned(run, tmp_path):
+    train(tmp_path, small(threads=2), banks=stored_banks(run), progress=False)
+    assert stored_config(tmp_path).threads == 2
+    (first, _), (second, _) = (read_tensors(folder / CHECKPOINT) for folder in (run, tmp_path))
+    assert [name for name in first if not torch.equal(first[name], second[name])] == []
+
+
 def evaluations(run: Path) -> list[dict[str, float]]:
     with (run / EVALUATIONS).open(newline="") as file:
         rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]

@@ -18,7 +18,7 @@ def make_env(
     *,
     reselection: int | None = None,
 ) -> TechniqueSelectionVectorEnv:
-    """The environment to learn in, and one thread to learn on.
+    """The environment to learn in, and one thread for PyTorch.
 
     Args:
         config: how many routes, which statistic, which λ.
@@ -34,6 +34,7 @@ def make_env(
         statistic=config.statistic,
         reward=config.reward,
         compute_weight=config.compute_weights,
+        threads=config.threads,
         reselection=reselection,
         autoreset_mode="SameStep",
     )

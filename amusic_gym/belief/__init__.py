@@ -23,19 +23,17 @@ motion, whatever ran before. The rates were fitted on simulated routes only
 
 from __future__ import annotations
 
-from amusic_gym.belief.filter import hear_routes, look_back
-from amusic_gym.belief.memory import HEARING, Hearing, Minds, allocate, begin
+from amusic_gym.belief.hearing import Hearers
+from amusic_gym.belief.memory import Hearing, Minds, allocate, begin
 from amusic_gym.belief.rates import Rates, fitted, stored
 
 __all__ = [
-    "HEARING",
+    "Hearers",
     "Hearing",
     "Minds",
     "Rates",
     "allocate",
     "begin",
     "fitted",
-    "hear_routes",
-    "look_back",
     "stored",
 ]

@@ -144,14 +144,20 @@ def filter_frame(
 
 
 @spliced
-def hear(minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any, tolerance: int) -> None:
-    """Prepare the rows of a frame and take them into the belief of route ``i``."""
+def prepare_frame(minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any) -> None:
+    """Prepare the rows that taking in a frame of route ``i`` needs."""
     for s in range(ran.shape[0]):
         if ran[s, frame]:
             last = minds.witnesses[which, i, s].last
             if last >= 0:
                 prepare(runs[s], last)  # an unpickled bank has forgotten what it knew of its rows
             prepare(runs[s], frame)
+
+
+@spliced
+def hear(minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any, tolerance: int) -> None:
+    """Prepare the rows of a frame and take them into the belief of route ``i``."""
+    prepare_frame(minds, which, i, frame, runs, ran)
     filter_frame(minds, which, i, frame, runs, ran, tolerance)
 
 
@@ -167,6 +173,20 @@ def hear_routes(address: int) -> None:
     for i in range(table.active.size):
         if table.active[i]:
             hear(minds, 0, i, routes[i].frame + 1, runs[i], ran[i], routes[i].tolerance)
+
+
+@kernel
+def prepare_rows(address: int) -> None:
+    """Prepare the rows that :func:`hear_routes` will need: several routes may share them.
+
+    Args:
+        address: of a table of the layout ``HEARING``.
+    """
+    table = hearing_at(address)
+    minds, routes, runs, ran = table.minds, table.routes, table.runs, table.ran
+    for i in range(table.active.size):
+        if table.active[i]:
+            prepare_frame(minds, 0, i, routes[i].frame + 1, runs[i], ran[i])
 
 
 @spliced

@@ -44,6 +44,11 @@ class Minds(NamedTuple):
     joint: NDArray[np.float64]  # (R,) scratch: the belief over places, all ways of moving
     windows: NDArray[np.float64]  # (R,) scratch: sums of the belief within the tolerance
 
+    def beside(self) -> Minds:
+        """The same memory with scratch of its own, for another thread."""
+        scratch = ("rows", "voices", "prior", "joint", "windows")
+        return self._replace(**{name: np.zeros_like(getattr(self, name)) for name in scratch})
+
 
 MINDS = Layout(
     "Minds",
