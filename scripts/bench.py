@@ -4,8 +4,9 @@
 
 Every timed path is checked first against NumPy code of another kind (_bench_reference.py), that of
 the default statistic against the true places. The sides take turns, after one warm-up, on one
-thread; each figure is a median. All is with the statistic `evidence`, γ = 1, unless it says
-`default`: the figures that begin so are with the one that the environment takes by itself.
+thread unless it says two; each figure is a median. All is with the statistic `evidence`, γ = 1,
+unless it says `default`: the figures that begin so are with the one that the environment takes by
+itself.
 
 | ratio | of what | better |
 |---|---|---|
@@ -22,6 +23,7 @@ thread; each figure is a median. All is with the statistic `evidence`, γ = 1, u
 | cohog_match_share_of_limit | time of the bare matrix product of the cells / ours | near 1 |
 | default_vector_env_vs_cartpole_vector | as above, default statistic | more |
 | default_single_env_vs_cartpole | as above, default statistic | more |
+| default_two_threads_vs_one | steps/s of the vector env on two threads / on one | more |
 | default_step_vs_evidence | time of the single env's step: default / `evidence` | less |
 
 And what a robot waits for, which is this machine's: default_step_ms, TECHNIQUE_describe_ms,
@@ -257,6 +259,20 @@ def measure_half(material: Material) -> Measured:
     return Measured(1.0 / medians.faster, medians, "step", "a half", "all techniques")
 
 
+def measure_threads(material: Material) -> Measured:
+    """The vector env's step with the default statistic, on two threads against one."""
+    sizes, steppers = material.sizes, []
+    for threads in (2, 1):
+        arguments = material.env_arguments(SICSettings.statistic)
+        env = TechniqueSelectionVectorEnv(sizes.routes, threads=threads, **arguments)
+        _play_checked(env, material, material.everything, {"start": material.starts})
+        steppers.append(_stepper(env, material.everything, sizes.steps))
+    units = sizes.steps * sizes.routes
+    two, one = (Side("threads", step, units) for step in steppers)
+    medians = interleave(two, one, sizes.rounds)
+    return Measured(medians.faster, medians, "step", "two threads", "one thread")
+
+
 def measure_step_limit(material: Material) -> Measured:
     """The vector env's step, all techniques, against plain streams over as many rows."""
     sizes = material.sizes
@@ -367,6 +383,7 @@ MEASUREMENTS: dict[str, Callable[[Material], Measured]] = {
         measure_vector_env, statistic=SICSettings.statistic
     ),
     "default_single_env_vs_cartpole": partial(measure_single_env, statistic=SICSettings.statistic),
+    "default_two_threads_vs_one": measure_threads,
 }
 
 

@@ -26,6 +26,7 @@ KEYS = {
     "live_overhead_ms",
     "default_vector_env_vs_cartpole_vector",
     "default_single_env_vs_cartpole",
+    "default_two_threads_vs_one",
     "default_step_ms",
     "default_step_vs_evidence",
     "default_live_overhead_ms",
