@@ -27,9 +27,6 @@ ABSOLUTE_TIE = 1e-12
 SLACK = 512
 """Frames that the running sums move before their window is copied back."""
 
-DOUBLES = 8
-"""Numbers in a cache line."""
-
 LARGE = 65_536
 """Places from which the sums of a map are too much for a fast cache: rows are added together."""
 
@@ -75,14 +72,8 @@ def add_row(sums: Any, base: int, run: Any, frame: int, decay: float) -> None:
         for place in range(row.size):
             window[place] = decay * window[place] + (row[place] - mean) * scale
         return
-    # Up to the next cache line first: the window moves by one place a frame, and no store should
-    # cross two lines.
-    head = min(-np.int64(window.ctypes.data // 8) % DOUBLES, row.size)
-    for place in range(head):
+    for place in range(row.size):
         window[place] += (row[place] - mean) * scale
-    lines, scores = window[head:], row[head:]
-    for place in range(scores.size):
-        lines[place] += (scores[place] - mean) * scale
 
 
 @apart

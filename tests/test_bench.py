@@ -42,7 +42,7 @@ KEYS = {
     "first_step_cached_seconds",
     "default_first_step_cold_seconds",
     "default_first_step_cached_seconds",
-    "rejected_add_across_lines",
+    "rejected_add_by_lines",
     "rejected_roots_and_divisions",
     "rejected_prefix_sums",
     "waiting_at_100",
