@@ -44,7 +44,6 @@ class SB3VecEnv(VecEnv):
         self._returns = np.zeros(env.num_envs)
         self._lengths = np.zeros(env.num_envs, np.int64)
         self._terms: dict[str, NDArray[np.float64]] = {}
-        self._blanks: list[dict[str, Any]] = [{} for _ in range(env.num_envs)]
 
     def reset(self) -> NDArray[np.float32]:
         """Begin an episode on every route, with the seeds and options set before."""
@@ -77,21 +76,12 @@ class SB3VecEnv(VecEnv):
         done = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        infos = self._blank_infos()
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         terms = info["final_info"]["reward_terms"] if done.any() else info["reward_terms"]
         self._sum_terms(terms, info["reward_terms"], done)
         for i in np.flatnonzero(done):
             infos[i] = self._ended(int(i), info["final_obs"][i], bool(truncated[i]))
         return observation, rewards.astype(np.float32), done, infos
-
-    def _blank_infos(self) -> list[dict[str, Any]]:
-        """An empty dictionary for each route: the same ones again, unless one was written to.
-
-        To make new ones for hundreds of routes sets off Python's garbage collector every few steps.
-        """
-        if any(self._blanks):
-            self._blanks = [{} for _ in range(self.num_envs)]
-        return self._blanks.copy()
 
     def _sum_terms(self, final: dict[str, Any], running: dict[str, Any], done: Any) -> None:
         for name, values in running.items():

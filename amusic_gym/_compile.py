@@ -73,14 +73,15 @@ def compiled(function: Function) -> Function:
     return _cached(function, KERNEL_SOURCES)
 
 
-def standalone(*sources: str) -> Callable[[Function], Function]:
-    """As :func:`compiled`, for a kernel apart from the environment's; it runs without the GIL.
+def standalone(*sources: str, nogil: bool = True) -> Callable[[Function], Function]:
+    """As :func:`compiled`, for a kernel apart from the environment's.
 
     Args:
         sources: further files, below this folder, whose code ends up in it. So a change in the
             environment's kernels does not make it compile again, nor the other way round.
+        nogil: whether it runs without the GIL, beside other Python threads.
     """
-    return lambda function: _cached(function, (Path(__file__).name, *sources), nogil=True)
+    return lambda function: _cached(function, (Path(__file__).name, *sources), nogil=nogil)
 
 
 def inner(function: Function) -> Function:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -26,6 +27,9 @@ COST_MODELS = ("measured", "paper", "runs")
 
 PAPER_SECONDS = {"HOG": 0.045, "CALC": 0.165, "CoHOG": 0.707, "NetVLAD": 0.722}
 """Seconds per frame, averaged over the paper's data sets (A-MuSIC, last column of the table)."""
+
+_preparing = threading.Lock()
+"""Environments in several threads that share a bank share what is prepared of it, too."""
 
 
 class ScoreBank:
@@ -143,9 +147,10 @@ class ScoreBank:
         """What SIC knows of each row, shared by all who use this bank with ``candidates`` = K."""
         from amusic_gym.rows import PreparedRows
 
-        if candidates not in self._prepared:
-            self._prepared[candidates] = PreparedRows(self, candidates)
-        return self._prepared[candidates]
+        with _preparing:
+            if candidates not in self._prepared:
+                self._prepared[candidates] = PreparedRows(self, candidates)
+            return self._prepared[candidates]
 
     def check_finite(self) -> None:
         """Read every score once.

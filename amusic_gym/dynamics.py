@@ -14,7 +14,7 @@ from typing import Any
 from amusic_gym._compile import compiled, inner, spliced
 from amusic_gym.belief.places import log_odds, log_ratio
 from amusic_gym.observation import SMOOTHING, observe
-from amusic_gym.records import LIVE, Outcome, Rules, State, batch_at
+from amusic_gym.records import LIVE, PAST_END, Outcome, Rules, State, batch_at
 from amusic_gym.rows import mean_at, prepare, row_at, scale_at, top_at
 from amusic_gym.sic import (
     best_candidate,
@@ -322,8 +322,14 @@ def show_route(state: State, i: int, out: Outcome) -> None:
 
 @inner
 def plan(state: State, rules: Rules, active: Any, actions: Any, out: Outcome) -> None:
-    """Decide what runs on the next frame of every active route."""
+    """Decide what runs on the next frame of every active route.
+
+    A route that has ended, which an error may have hidden from whoever steps it, stays as it is.
+    """
     for i in range(active.size):
+        if active[i] and state.routes[i].frame + 1 >= state.routes[i].frames:
+            active[i] = False
+            out.routes[i].bad_row = PAST_END
         if active[i]:
             choose_runs(state, rules, i, actions[i], out)
             note_runs(state, rules, i, out)
@@ -334,13 +340,13 @@ def show(state: State, active: Any, out: Outcome) -> int:
     """Write what is known of every route to the outcome.
 
     Returns:
-        Number of routes on which a row that ran is not finite; their ``bad_row`` tells which.
+        Number of routes on which something is wrong; their ``bad_row`` tells what.
     """
     bad_rows = 0
     for i in range(active.size):
         if not active[i]:
             out.routes[i].technique = -1
-        bad_rows += out.routes[i].bad_row > 0
+        bad_rows += out.routes[i].bad_row != 0
         show_route(state, i, out)
     return bad_rows
 
@@ -357,7 +363,8 @@ def step_routes(address: int, stages: int) -> int:
         stages: ``PLAN``, ``PROCESS`` and ``SHOW``, added up.
 
     Returns:
-        Number of routes on which a row that ran is not finite; their ``bad_row`` tells which.
+        Number of routes on which a row that ran is not finite, or that had ended; their ``bad_row``
+        tells which.
     """
     batch = batch_at(address)
     state, rules, active, out = batch.state, batch.rules, batch.active, batch.out

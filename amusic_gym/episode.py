@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from amusic_gym import belief
@@ -23,6 +24,7 @@ from amusic_gym.live import ENDLESS
 from amusic_gym.observation import declare_costs
 from amusic_gym.records import (
     BATCH,
+    PAST_END,
     ROUTE,
     SLOT,
     Batch,
@@ -247,6 +249,7 @@ class Episodes:
             active: (N,) routes to step; None: all.
 
         Raises:
+            ResetNeeded: for a route that has ended.
             ValueError: for a row with NaN or infinite scores, naming technique and frame; for
                 what a live route cannot compute, or a step after such an error.
             FileNotFoundError: for a live route's image that is gone.
@@ -261,7 +264,7 @@ class Episodes:
             bad_rows = self._run_stages(PLAN | PROCESS | SHOW)
         out = self._out.copy()
         if bad_rows:
-            raise ValueError(self._bad_row(out.routes["bad_row"]))
+            self._refuse(out.routes["bad_row"])
         return out
 
     def _select(self, live: Sequence[int]) -> None:
@@ -355,13 +358,17 @@ class Episodes:
         """S, and one more for the re-select bit."""
         return self.slots + (self.rules.block > 0)
 
-    def _bad_row(self, bad: NDArray[np.int64]) -> str:
+    def _refuse(self, bad: NDArray[np.int64]) -> None:
         i = int(np.flatnonzero(bad)[0])
+        if bad[i] == PAST_END:
+            raise ResetNeeded(
+                f"route {i} has ended, in a step that an error cut short; reset it before the next"
+            )
         route = self.routes[i]
         assert route is not None
         slot, frame = divmod(int(bad[i]) - 1, route.frames)
         technique = route.bank.techniques[route.columns[slot]]
-        return (
+        raise ValueError(
             f"score bank {route.bank.name!r}: NaN or infinite score of technique {technique!r} at"
             f" frame {route.start + frame}; mend the scores and write the bank again"
         )

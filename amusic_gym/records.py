@@ -19,6 +19,9 @@ from amusic_gym.observation import observation_size
 from amusic_gym.rows import RUN
 from amusic_gym.sic import SUMS
 
+PAST_END = -1
+"""In ``bad_row``: the route had ended before the step."""
+
 LIVE, LAGGED = 0, 1
 """Two sets of running sums: up to the last frame, and up to the block that may be re-selected."""
 
@@ -165,7 +168,7 @@ RESULT = np.dtype(
         ("compute", np.float64),  # seconds / Σ seconds
         ("ended", np.bool_),  # the route's last frame has been processed
         ("happened", np.bool_),  # a selection was done in this step
-        ("bad_row", np.int64),  # 0, or 1 + slot · frames + frame of a row that is not finite
+        ("bad_row", np.int64),  # 0, 1 + slot · frames + frame of a row not finite, or PAST_END
     ],
     align=True,
 )
@@ -187,7 +190,7 @@ SLOT_RESULT = np.dtype(
 
 
 LINE = 64
-"""Bytes of a cache line, on which every array of an outcome begins."""
+"""Arrays of an outcome lie apart by multiples of this: a cache line, in bytes."""
 
 _KINDS = [RESULT[name].kind for name in RESULT.names or ()]
 _NUMBERS = struct.Struct("".join({"i": "q", "f": "d", "b": "?"}[kind] for kind in _KINDS))
@@ -195,7 +198,7 @@ _NUMBERS = struct.Struct("".join({"i": "q", "f": "d", "b": "?"}[kind] for kind i
 
 
 KEPT = 4
-"""Outcomes whose memory is used again."""
+"""Outcomes of a batch whose memory may be used again; while all are held, later ones get new."""
 
 
 class OutcomeShape:
@@ -214,7 +217,7 @@ class OutcomeShape:
         self.slots = self._place((routes, slots), SLOT_RESULT)
         self.corrections = self._place((routes, slots, block), np.float64)
         self.observation = self._place((routes, observation_size(slots)), np.float32)
-        self._kept: list[NDArray[np.uint8]] = []
+        self._kept = [np.empty(0, np.uint8)]  # the first only shows what unused means
 
     def _place(self, shape: tuple[int, ...], kind: Any) -> tuple[tuple[int, ...], Any, int]:
         dtype, start = np.dtype(kind), self.size
@@ -226,25 +229,17 @@ class OutcomeShape:
 
         A system gives a large piece page by page, which takes longer than to write to it.
         """
-        unused = _unused(self._kept)
-        if unused is None:
-            unused = np.empty(self.size, np.uint8)
-            if len(self._kept) < KEPT:
-                self._kept.append(unused)
-        return unused
-
-
-def _unused(arrays: list[NDArray[Any]]) -> NDArray[Any] | None:
-    """The first of several arrays that nothing but their list refers to, views included."""
-    for array in arrays:
-        if sys.getrefcount(array) <= _REFERENCES:
-            return array
-    return None
-
-
-_REFERENCES = 0
-while _unused([np.zeros(1)]) is None:  # what the list, the loop and the call amount to
-    _REFERENCES += 1
+        unused = -1  # references to an array that nothing but the list refers to, views included
+        for array in self._kept:
+            references = sys.getrefcount(array)
+            if references <= unused:
+                return array
+            if unused < 0:
+                unused = references
+        new = np.empty(self.size, np.uint8)
+        if len(self._kept) <= KEPT:
+            self._kept.append(new)
+        return new
 
 
 class Outcome:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 class RewardInputs(NamedTuple):
     """What a reward may look at; every array has one entry per route (N,).
 
+    It may be kept: no later step writes to it.
+
     Attributes:
         outcome: all that the step gave; ``outcome.routes`` and ``outcome.slots`` are record
             arrays whose fields :mod:`amusic_gym.records` lists.

@@ -147,7 +147,7 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
             terminated, truncated = terminated & active, truncated & active
         self._ended = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
-            infos = self._restart(out, terms)
+            out, infos = self._restart(out, terms)
         else:
             infos = batch_infos(out, terms)
         if self._viewer is not None:
@@ -163,13 +163,14 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
                 f"routes {ended} have ended; reset them with options={{'reset_mask': ...}}"
             )
 
-    def _restart(self, out: Outcome, terms: Terms) -> Infos:
-        """Begin new episodes where one has ended (SAME_STEP), and show their start instead.
+    def _restart(self, last: Outcome, terms: Terms) -> tuple[Outcome, Infos]:
+        """Begin new episodes where one has ended (SAME_STEP).
 
         Returns:
-            Infos with those of the steps that ended the others, and their last observations.
+            The outcome with their start instead; infos with those of the steps that ended the
+            others, and their last observations.
         """
-        ended, last = self._ended.copy(), out.copy()
+        ended, out = self._ended.copy(), last.copy()
         for i in np.flatnonzero(ended):
             self._begin(int(i))
         out.take(self.task.episodes.look(), ended)
@@ -183,7 +184,7 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
             "final_info": batch_infos(last, terms, ended),
             "_final_info": ended,
         }
-        return infos
+        return out, infos
 
     def render(self) -> tuple[Any, ...] | None:
         """What the single environment's ``render`` gives, for every route.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import math
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -18,6 +19,7 @@ from env_cases import (
     random_actions,
     random_bank,
 )
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from oracle import STATISTICS as DIAGONAL
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
@@ -31,6 +33,7 @@ from amusic_gym.observation import (
 )
 from amusic_gym.rewards import RewardInputs
 from amusic_gym.settings import STATISTICS
+from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 ARGUMENTS = [
     {},
@@ -362,3 +365,58 @@ def test_render_says_what_happened(bank):
         f" p {info['p_correct']:.2f}, ran T0 + T2"
     )
     assert TechniqueSelectionEnv(bank).render() is None
+
+
+class Breaks:
+    """A reward that fails once, on a frame."""
+
+    def __init__(self, frame: int) -> None:
+        self.frame = frame
+
+    def __call__(self, inputs: RewardInputs) -> dict[str, Any]:
+        if (inputs.outcome.routes["frame"] == self.frame).any():
+            self.frame = -2
+            raise RuntimeError("the reward broke")
+        return {"mine": inputs.outcome.routes["p_correct"]}
+
+
+@pytest.mark.parametrize("statistic", ["evidence", "belief"])
+@pytest.mark.parametrize("number", [None, 3])
+def test_a_route_whose_end_an_error_hid_is_not_stepped_past_it(number, statistic):
+    arguments = {"bank": random_bank(1, queries=5), "statistic": statistic, "reward": Breaks(4)}
+    env = (
+        TechniqueSelectionEnv(**arguments)
+        if number is None
+        else TechniqueSelectionVectorEnv(number, **arguments)
+    )
+    first = env.reset(seed=0)
+    everything = np.ones(env.action_space.shape)
+    for _ in range(4):
+        env.step(everything)
+    with pytest.raises(RuntimeError, match="broke"):
+        env.step(everything)
+    for _ in range(3):
+        with pytest.raises(ResetNeeded, match="route 0 has ended"):
+            env.step(everything)
+    assert_same(env.reset(seed=0), first)
+    assert np.isfinite(env.step(everything)[0]).all()
+
+
+def test_an_outcome_that_a_reward_keeps_stays_as_it_was():
+    kept = []
+
+    def reward(inputs: RewardInputs) -> dict[str, Any]:
+        given = [*inputs.outcome.arrays(), inputs.compute_weight]
+        kept.append((given, [array.copy() for array in given]))
+        return {"mine": inputs.outcome.routes["p_correct"]}
+
+    banks = [random_bank(1, queries=5), random_bank(2, queries=9)]
+    env = TechniqueSelectionVectorEnv(
+        2, banks, reward=reward, autoreset_mode="SameStep", compute_weight=(0.1, 3.0)
+    )
+    env.reset(seed=0, options={"bank": np.array([0, 1])})
+    ends = [env.step(np.ones((2, 3)))[2].any() for _ in range(30)]
+    assert sum(ends) > 2
+    for given, copies in kept:
+        for array, copied in zip(given, copies, strict=True):
+            assert array.tolist() == copied.tolist()

@@ -5,12 +5,16 @@ from __future__ import annotations
 import copy
 import multiprocessing
 import pickle
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import pytest
 from env_cases import assert_same, random_actions, random_bank
 
-from amusic_gym.belief.filter import prepare_rows
+from amusic_gym.belief.filter import hear_routes, prepare_rows
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 BANKS = [random_bank(1), random_bank(2, queries=7, references=90), random_bank(3, queries=25)]
@@ -68,11 +72,60 @@ def test_rows_are_prepared_before_the_threads_begin(monkeypatch):
         prepare_rows(address)
 
     monkeypatch.setattr("amusic_gym.belief.hearing.prepare_rows", first)
-    for threads, count in ((1, 0), (2, 4)):
+    for threads in (1, 2):
         env = make(threads)
         env.reset(seed=0)
         steps(env, 4)
-        assert len(seen) == count
+        assert len(seen) == 4 * threads
+
+
+def test_environments_in_several_python_threads_may_share_a_bank():
+    for repeat in range(6):
+        fresh = partial(random_bank, repeat, queries=25, references=4000, levels=4000)
+        bank = fresh()
+        envs = [make(1, 2, bank=bank) for _ in range(4)]
+
+        def drive(env: TechniqueSelectionVectorEnv) -> list[object]:
+            return [env.reset(seed=1), *steps(env, 24)]
+
+        with ThreadPoolExecutor(4) as pool:
+            results = list(pool.map(drive, envs))
+        alone = drive(
+            make(1, 2, bank=random_bank(repeat, queries=25, references=4000, levels=4000))
+        )
+        for result in results:
+            assert_same(result, alone)
+
+
+def test_an_interrupt_waits_for_the_other_threads(monkeypatch):
+    written = []
+
+    def slow(address: int) -> None:
+        if threading.current_thread() is threading.main_thread():
+            raise KeyboardInterrupt
+        time.sleep(0.3)
+        hear_routes(address)
+        written.append(time.monotonic())
+
+    env = make(2)
+    env.reset(seed=0)
+    monkeypatch.setattr("amusic_gym.belief.hearing.hear_routes", slow)
+    with pytest.raises(KeyboardInterrupt):
+        env.step(np.ones((5, 3)))
+    interrupted = time.monotonic()
+    assert written
+    assert max(written) < interrupted
+
+
+def test_without_further_threads_this_one_does_it_all(monkeypatch):
+    class Ended:
+        def submit(self, *given: object) -> None:
+            raise RuntimeError("cannot schedule new futures after interpreter shutdown")
+
+    monkeypatch.setattr("amusic_gym.belief.hearing._executor", Ended)
+    one, several = make(1), make(3)
+    assert_same(one.reset(seed=4), several.reset(seed=4))
+    assert_same(steps(one, 20), steps(several, 20))
 
 
 @pytest.mark.skipif(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import pickle
+import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -94,6 +96,26 @@ def test_memory_that_someone_looks_at_is_left_alone(keep):
 
 def _plain(view: object) -> object:
     return view["deep"][0] if isinstance(view, dict) else np.asarray(view).copy()
+
+
+def test_a_tracer_that_looks_at_variables_does_not_free_what_is_held():
+    """Debuggers hold a reference to every variable of the functions that they stop in."""
+    shape = OutcomeShape(2, 2, 0)
+    before = sys.gettrace()
+
+    def trace(frame: Any, event: str, argument: Any) -> Any:
+        assert frame.f_locals is not None
+        return trace
+
+    sys.settrace(trace)
+    try:
+        kept = [filled(shape, number).copy() for number in range(2)]
+    finally:
+        sys.settrace(before)
+    saved = [contents(out) for out in kept]
+    for number in range(2 * KEPT):
+        filled(shape, 100 + number).copy()
+    assert [contents(out) for out in kept] == saved
 
 
 def test_a_deep_copy_has_memory_of_its_own():
