@@ -87,8 +87,11 @@ def test_memory_is_used_again_once_nothing_refers_to_it():
 )
 def test_memory_that_someone_looks_at_is_left_alone(keep):
     shape = OutcomeShape(2, 2, 0)
-    kept = [keep(filled(shape, number).copy()) for number in range(3 * KEPT)]
-    saved = [pickle.dumps(_plain(view)) for view in kept]
+    kept, saved = [], []
+    for number in range(3 * KEPT):
+        source = filled(shape, number)
+        saved.append(pickle.dumps(_plain(keep(source))))
+        kept.append(keep(source.copy()))
     for number in range(3 * KEPT):
         filled(shape, 100 + number).copy()
     assert [pickle.dumps(_plain(view)) for view in kept] == saved
