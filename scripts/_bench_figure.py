@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -49,6 +50,25 @@ def points_of(sizes: Sizes, seconds: dict[str, Medians]) -> tuple[float, list[Po
     }
     points = [Point(name, ops / size, ops / time) for name, (size, ops, time) in parts.items()]
     return 1.0 / seconds["sic_share_of_limit"].theirs, points
+
+
+def draw_growth(places: Sequence[int], seconds: Sequence[Medians], file: Path) -> None:
+    """Draw the time of a correction against the map's size, and that of the stream over its row."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7.0, 3.6), layout="constrained")
+    ours, stream = ([1e6 * of for of in side] for side in zip(*seconds, strict=True))
+    axes.loglog(places, ours, "o-", label="one SIC correction")
+    axes.loglog(places, stream, "--", color="0.3", label="plain stream over its row")
+    axes.legend(loc="upper left", frameon=False)
+    axes.set_xlabel("places of the map")
+    axes.set_ylabel("µs per technique and frame")
+    axes.grid(alpha=0.3)
+    figure.savefig(file, dpi=120)
+    plt.close(figure)
 
 
 def draw_roofline(measured: tuple[float, list[Point]], roof: Roof, file: Path) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from _bench_kernels import stream
 from _bench_material import Corrections, Material, Sizes, same
 from _bench_reference import gather
-from _timing import Side, interleave
+from _timing import Medians, Side, interleave
 
 SIZES = (100, 1_000, 10_000, 100_000, 1_000_000)
 QUICK_SIZES = (100, 400)
@@ -26,14 +26,19 @@ BIG_SHAPE = (4, 2_000, 100_000)
 QUICK_SHAPE = (2, 40, 500)
 
 
-def measure_growth(places: tuple[int, ...], report: Callable[[str, float, str], None]) -> None:
+def measure_growth(
+    places: tuple[int, ...], report: Callable[[str, float, str], None]
+) -> list[Medians]:
     """Time one SIC correction on maps of growing size, against the stream over its row.
 
     Args:
         places: sizes R of the maps.
         report: takes a key, its value, and a sentence on it.
+
+    Returns:
+        Seconds of both on each map.
     """
-    seconds = []
+    found: list[Medians] = []
     for size in places:
         sizes = Sizes(techniques=1, places=size, frames=FRAMES, routes=1, steps=STEPS)
         material = Material(sizes)
@@ -56,12 +61,13 @@ def measure_growth(places: tuple[int, ...], report: Callable[[str, float, str], 
             Side("stream", stream_rows, STEPS),
             sizes.rounds,
         )
-        seconds.append(medians.ours)
+        found.append(medians)
         times = medians.ours / medians.theirs
         what = f"µs per correction with {size} places: {times:.3g} times the stream over its row"
         report(f"sic_us_at_{size}", 1e6 * medians.ours, what)
-    slope = math.log(seconds[-1] / seconds[-2]) / math.log(places[-1] / places[-2])
+    slope = math.log(found[-1].ours / found[-2].ours) / math.log(places[-1] / places[-2])
     report("growth_exponent", slope, "of the time with the map, at its largest: 1 is linear")
+    return found
 
 
 def measure_memory(material: Material, report: Callable[[str, float, str], None]) -> None:

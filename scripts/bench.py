@@ -38,8 +38,8 @@ big_share_of_read (time to copy the row / to take it into the sums and correct).
 With --layouts, ways to keep the sums that were tried and rejected: rejected_… (time of each / of
 what took its place) and waiting_at_R (time of rows that wait / of rows added at once).
 
-Beside the JSON object stands a roofline: what each part does per second against what memory and
-arithmetic of this machine allow.
+Beside the JSON object stand a roofline, what each part does per second against what memory and
+arithmetic of this machine allow, and the growth with the map.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ from _cli import Parser, run  # noqa: E402  (after the line above, which NumPy r
 import _bench_reference as reference  # noqa: E402
 import gymnasium as gym  # noqa: E402
 import numpy as np  # noqa: E402
-from _bench_figure import draw_roofline, points_of  # noqa: E402
+from _bench_figure import draw_growth, draw_roofline, points_of  # noqa: E402
 from _bench_growth import (  # noqa: E402
     BIG_SHAPE,
     QUICK_SHAPE,
@@ -464,7 +464,8 @@ def _measure_rest(
     """What is not a ratio of two sides, and the figure."""
     step = seconds["default_step_vs_evidence"].ours
     report("default_step_ms", 1e3 * step, f"ms per step of the single env, {SICSettings.statistic}")
-    measure_growth(QUICK_SIZES if args.quick else SIZES, report)
+    places = QUICK_SIZES if args.quick else SIZES
+    growth = measure_growth(places, report)
     measure_memory(material, report)
     statistics = {"": "evidence", "default_": SICSettings.statistic}
     measure_start(statistics, 1 if args.quick else 5, report)
@@ -477,6 +478,9 @@ def _measure_rest(
     figure = args.out.with_suffix(".png")
     draw_roofline(points_of(material.sizes, seconds), product, figure)
     print(f"roofline: {figure}")
+    figure = figure.with_name(f"{figure.stem}-growth.png")
+    draw_growth(places, growth, figure)
+    print(f"growth: {figure}")
 
 
 if __name__ == "__main__":

@@ -68,6 +68,7 @@ def test_quick_bench_writes_finite_numbers(tmp_path):
     assert all(math.isfinite(ratio) for ratio in ratios.values()), ratios
     assert all(ratios[key] > 0.0 for key in KEYS - MAY_BE_NEGATIVE), ratios
     assert out.with_suffix(".png").stat().st_size > 10_000
+    assert out.with_name("bench-growth.png").stat().st_size > 10_000
     assert all(key in done.stdout for key in KEYS)
     assert "def gather(" in done.stdout
 
