@@ -19,13 +19,13 @@ from amusic_gym.rows import mean_at, prepare, row_at, scale_at, top_at
 from amusic_gym.sic import (
     best_candidate,
     best_rival,
+    candidate_at,
+    diagonal_statistic,
+    discount_of,
     first_best,
     push,
     ratio_of,
-    statistic_of,
     weigh,
-    weight_of,
-    with_waiting,
 )
 
 IDLE_DECAY = 0.9
@@ -39,17 +39,26 @@ PLAN, PROCESS, SHOW = 1, 2, 4
 
 
 @spliced
-def correct_frame(state: State, rules: Rules, i: int, s: int, frame: int, out: Outcome) -> int:
-    """Run SIC for one technique on a frame; statistics to ``state.values[s]``; winner's rank."""
+def correct_frame(
+    state: State, rules: Rules, i: int, s: int, frame: int, own: int, fused: int, out: Outcome
+) -> int:
+    """Run SIC for one technique on a frame; statistics to ``state.values[s]``; winner's rank.
+
+    ``own`` and ``fused`` are the technique's last match and the last prediction, moved on to the
+    frame; −1 where there is none.
+    """
     run = state.runs[i, s]
+    state.carried[s, 0] = own if rules.carry else -1
+    state.carried[s, 1] = fused if rules.carry else -1
     if not prepare(run, frame):
         out.routes[i].bad_row = 1 + s * state.routes[i].frames + frame
     sums, mark = state.sums[LIVE, i, s], state.marks[LIVE, i, s]
     push(sums, mark, run, state.ran[i, s], frame, rules.history, rules.gamma)
     counts, prefix, factors = state.counts[i, s], state.prefix[i, s], state.factors
-    history, gamma, evidence, values = rules.history, rules.gamma, rules.evidence, state.values[s]
+    history, gamma, evidence = rules.history, rules.gamma, rules.evidence
+    carried, values = state.carried[s], state.values[s]
     return best_candidate(
-        sums, mark, run, counts, prefix, factors, frame, history, gamma, evidence, values
+        sums, mark, run, counts, prefix, factors, frame, history, gamma, evidence, carried, values
     )
 
 
@@ -57,12 +66,14 @@ def correct_frame(state: State, rules: Rules, i: int, s: int, frame: int, out: O
 def remember(state: State, tolerance: int, i: int, s: int, frame: int, winner: int) -> None:
     """Store the outcome of a technique's run in its slot."""
     slot, values = state.slots[i, s], state.values[s]
-    top = top_at(state.runs[i, s], frame)
+    top, carried = top_at(state.runs[i, s], frame), state.carried[s]
     slot.last_run = frame
-    slot.place = top[winner]
+    slot.place = candidate_at(top, carried, winner)
+    slot.discount = discount_of(state.marks[LIVE, i, s])
+    slot.weight = slot.discount
     slot.statistic = values[winner]
     slot.correction = values[winner] - values[0]
-    rival = best_rival(values, top, top.size, slot.place, tolerance, -math.inf)
+    rival = best_rival(values, top, carried, slot.place, tolerance)
     slot.rival = rival
     slot.margin = slot.statistic - rival if rival > -math.inf else 0.0
 
@@ -79,6 +90,7 @@ def recall(state: State, i: int, s: int, frame: int) -> None:
     slot.trust = known.trust
     slot.sharpness = 0.25 * known.once + 0.5 * known.twice + known.fourfold
     slot.weight = known.weight
+    slot.discount = 1.0
     slot.stored = known.said
 
 
@@ -132,9 +144,15 @@ def tell_of(state: State, i: int, s: int, out: Outcome) -> None:
 def correct_techniques(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
     """Run SIC for the techniques that run on the frame."""
     for s in range(state.slots[i].size):
-        if state.slots[i, s].ran:
-            winner = correct_frame(state, rules, i, s, frame, out)
+        slot = state.slots[i, s]
+        if slot.ran:
+            own = slot.place + frame - slot.last_run if slot.last_run >= 0 else -1
+            prediction = state.routes[i].prediction
+            fused = prediction + 1 if prediction >= 0 else -1
+            winner = correct_frame(state, rules, i, s, frame, own, fused, out)
             remember(state, state.routes[i].tolerance, i, s, frame, winner)
+            if rules.block:
+                state.places[i, s, frame] = slot.place
             tell_of(state, i, s, out)
 
 
@@ -171,7 +189,7 @@ def trust_highest(state: State, i: int, out: Outcome) -> int:
     """Choose the technique of the highest statistic (MuSIC, III-B)."""
     slots, statistics = state.slots[i], state.scratch
     for s in range(slots.size):
-        statistics[s] = slots[s].statistic if slots[s].ran else -math.inf
+        statistics[s] = slots[s].statistic * slots[s].discount if slots[s].ran else -math.inf
     chosen = first_best(statistics, slots.size)
     slots[chosen].chosen = True
     out.routes[i].technique = chosen
@@ -195,14 +213,14 @@ def fuse(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
     for s in range(slots.size):
         if not slots[s].ran:
             continue
-        if slots[s].place == place:  # it is that of the technique itself
-            rival = max(rival, slots[s].rival)
-        else:
+        best = slots[s].rival
+        if slots[s].place != place:  # else it is that of the technique itself
             top = top_at(state.runs[i, s], frame)
-            rival = best_rival(state.values[s], top, top.size, place, route.tolerance, rival)
+            best = best_rival(state.values[s], top, state.carried[s], place, route.tolerance)
+        rival = max(rival, best * slots[s].discount)
     has_rival = rival > -math.inf
     arrive(route, place)
-    route.confidence = slots[chosen].statistic
+    route.confidence = slots[chosen].statistic * slots[chosen].discount
     route.margin = route.confidence - rival if has_rival else 0.0
     route.p_correct = estimate(rules.calibration, route.confidence, route.margin, has_rival)
 
@@ -250,13 +268,12 @@ def stored_statistic(state: State, rules: Rules, i: int, s: int, place: int) -> 
     """Statistic that a place of the technique's last run had."""
     if place < 0:
         return 0.0
-    mark, frame = state.marks[LIVE, i, s], state.slots[i, s].last_run
-    total = state.sums[LIVE, i, s, mark.origin - frame + place]
-    total = with_waiting(total, mark, state.runs[i, s], frame, place)
-    ratio = ratio_of(rules.gamma, rules.evidence)
-    span = min(rules.history, frame, place)
-    weight = weight_of(state.counts[i, s], state.prefix[i, s], frame, span, ratio)
-    return statistic_of(total, weight, state.factors, rules.gamma, rules.evidence)
+    sums, mark, run = state.sums[LIVE, i, s], state.marks[LIVE, i, s], state.runs[i, s]
+    counts, prefix, factors = state.counts[i, s], state.prefix[i, s], state.factors
+    frame, history, gamma = state.slots[i, s].last_run, rules.history, rules.gamma
+    return diagonal_statistic(
+        sums, mark, run, counts, prefix, factors, frame, history, gamma, rules.evidence, place
+    )
 
 
 @inner
@@ -293,6 +310,8 @@ def finish(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None
         out.routes[i].technique = -1
     relate(state, rules, i, frame)
     route.frame = frame
+    if rules.block and not rules.belief:
+        state.predictions[i, frame] = route.prediction
     route.since_doubt = 0.0 if route.p_correct < DOUBT else route.since_doubt + 1.0
     route.p_correct_mean += SMOOTHING * (route.p_correct - route.p_correct_mean)
     if route.spent >= 0.0:

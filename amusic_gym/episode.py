@@ -36,11 +36,17 @@ from amusic_gym.records import (
 from amusic_gym.rows import RUN
 from amusic_gym.selection import select_routes
 from amusic_gym.settings import COVERAGE, SICSettings
-from amusic_gym.sic import SLACK, SUMS, depth_for, factors_of
+from amusic_gym.sic import CARRIED, SLACK, SUMS, factors_of, new_sums
 from amusic_gym.sources import Recording
 
 if TYPE_CHECKING:
     from amusic_gym.live_rows import LiveRows
+
+KEPT = (
+    *("routes", "slots", "runs", "marks", "sums", "ran", "counts", "prefix"),
+    *("places", "predictions"),
+)
+"""Arrays of the state that go on when there must be more room; the others are scratch."""
 
 ROOM = 1024
 """Frames that there is room for at first on such a route; it doubles when it is used up."""
@@ -104,6 +110,7 @@ class Episodes:
             gamma=float(settings.gamma),
             evidence=settings.statistic == "evidence",
             belief=settings.statistic == "belief",
+            carry=bool(settings.carry),
             block=reselection,
             coverage=coverage,
             allow_idle=allow_idle,
@@ -131,7 +138,10 @@ class Episodes:
             ran=np.zeros((n, s, frames), np.uint8),
             counts=np.zeros((n, s, frames + 1), np.int32),
             prefix=np.zeros((n, s, 0 if self.rules.gamma == 1.0 else frames + 1)),
-            values=np.zeros((s, candidates)),
+            places=np.zeros((n, s, frames if self._replays else 0), np.int32),
+            predictions=np.zeros((n, frames if self._replays else 0), np.int32),
+            values=np.zeros((s, candidates + CARRIED)),
+            carried=np.zeros((s, CARRIED), np.int64),
             scratch=np.zeros(s),
             factors=factors_of(min(self.settings.history, references) + 1, self.rules.evidence),
             minds=minds.minds[0],
@@ -152,7 +162,7 @@ class Episodes:
         old, old_minds = self.state, self.minds
         new, minds = self._allocate(*room)
         self._room = room
-        for name in ("routes", "slots", "runs", "marks", "sums", "ran", "counts", "prefix"):
+        for name in KEPT:
             _keep(getattr(old, name), getattr(new, name))
         for name in ("minds", "witnesses", "belief", "hubs"):
             _keep(getattr(old_minds, name), getattr(minds, name))
@@ -217,11 +227,7 @@ class Episodes:
         declare_costs(record, slots)
         if self.rules.belief:
             belief.begin(self.minds, i, bank.references)
-        marks = state.marks[:, i]
-        marks[:] = np.zeros(1, SUMS)
-        marks["last"] = -1
-        marks["depth"] = depth_for(bank.references, self.settings.gamma)
-        marks["origin"] = max(state.sums.shape[-1] - bank.references, 0)
+        new_sums(state.marks[:, i], bank.references, state.sums.shape[-1], self.settings)
         self._point(i)
 
     def _point(self, i: int) -> None:
@@ -352,6 +358,11 @@ class Episodes:
         self._out.memory.fill(0)
         self._run_stages(SHOW)
         return self._out.copy()
+
+    @property
+    def _replays(self) -> bool:
+        """Whether selections go through SIC's last frames again."""
+        return self.rules.block > 0 and not self.rules.belief
 
     @property
     def action_size(self) -> int:

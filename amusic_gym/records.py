@@ -76,7 +76,8 @@ SLOT = np.dtype(
         ("stored", np.float64),  # what the last run said for the fused diagonal
         ("trust", np.float64),  # belief: probability that a row is informative
         ("sharpness", np.float64),  # belief: how sharp they are on average, of at most 1
-        ("weight", np.float64),  # belief: of the last row, less where it repeats the one before
+        ("weight", np.float64),  # of its rows, less where they repeat the ones before
+        ("discount", np.float64),  # what MuSIC multiplies the statistic by
         ("lagged", np.int64),  # frames before this one are in the lagged sums
     ],
     align=True,
@@ -125,6 +126,7 @@ class Rules(NamedTuple):
     gamma: float
     evidence: bool
     belief: bool
+    carry: bool
     block: int  # M; 0: no re-select bit
     coverage: float  # E
     allow_idle: bool
@@ -142,7 +144,10 @@ class State(NamedTuple):
     ran: NDArray[np.uint8]  # (N, S, Q)
     counts: NDArray[np.int32]  # (N, S, Q + 1), see sic.weigh
     prefix: NDArray[np.float64]  # (N, S, Q + 1); γ = 1: (N, S, 0)
-    values: NDArray[np.float64]  # (S, K) scratch: statistics of the candidates
+    places: NDArray[np.int32]  # (N, S, Q) SIC's match where a technique ran; M = 0: (N, S, 0)
+    predictions: NDArray[np.int32]  # (N, Q) the fused predictions; M = 0: (N, 0)
+    values: NDArray[np.float64]  # (S, K + CARRIED) scratch: statistics of the candidates
+    carried: NDArray[np.int64]  # (S, CARRIED) scratch: candidates carried on from earlier frames
     scratch: NDArray[np.float64]  # (S,) more scratch
     factors: NDArray[np.float64]  # (F + 2,), see sic.factors_of; no longer than the map needs
     minds: NDArray[Any]  # (N,) MIND: what the belief came to; not used without
@@ -330,7 +335,10 @@ BATCH = Layout(
                 "ran": (np.uint8, 3),
                 "counts": (np.int32, 3),
                 "prefix": (np.float64, 3),
+                "places": (np.int32, 3),
+                "predictions": (np.int32, 2),
                 "values": (np.float64, 2),
+                "carried": (np.int64, 2),
                 "scratch": (np.float64, 1),
                 "factors": (np.float64, 1),
                 "minds": (MIND, 1),
@@ -347,6 +355,7 @@ BATCH = Layout(
                 "gamma": float,
                 "evidence": bool,
                 "belief": bool,
+                "carry": bool,
                 "block": int,
                 "coverage": float,
                 "allow_idle": bool,

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from amusic_gym.bank import ScoreBank
 
 
+PREPARED = ("mean", "scale", "top", "ready", "serial")
+"""What is kept of every row; fields of ``RUN``."""
+
+
 class PreparedRows:
     """Mean, scale and candidates of the rows of a bank (A-MuSIC, III-A and III-B).
 
@@ -28,6 +32,7 @@ class PreparedRows:
         scale: (T, Q) float64, 1/σ of each row, 0 for a constant one.
         top: (T, Q, K) int32, the K best places, ranked; ties to the lower index.
         ready: (T, Q) uint8, 1 where the row's entries are filled.
+        serial: (T, Q) float64, see :func:`serial_correlation`; NaN where it is not known yet.
     """
 
     def __init__(self, bank: ScoreBank, candidates: int) -> None:
@@ -37,9 +42,10 @@ class PreparedRows:
         self.scale: NDArray[np.float64] = np.zeros((techniques, queries))
         self.top: NDArray[np.int32] = np.zeros((techniques, queries, self.candidates), np.int32)
         self.ready: NDArray[np.uint8] = np.zeros((techniques, queries), np.uint8)
+        self.serial: NDArray[np.float64] = np.full((techniques, queries), np.nan)
         self.references = references
         self._addresses: dict[str, NDArray[np.int64]] = {}  # (T,) of every technique's entries
-        for name in ("mean", "scale", "top", "ready"):
+        for name in PREPARED:
             self._addresses[name] = _addresses(getattr(self, name))
         self._addresses["scores"] = _addresses(bank.stored)[bank.index]
 
@@ -68,6 +74,7 @@ RUN = np.dtype(
         ("scale", np.int64),
         ("top", np.int64),
         ("ready", np.int64),
+        ("serial", np.int64),
         ("start", np.int64),  # the query that is frame 0
         ("entries", np.int64),  # live: address of each frame's row number (Q,) int64; 0: in order
         ("references", np.int64),  # R
@@ -86,6 +93,7 @@ class RowBuffer:
     scale: NDArray[np.float64]  # (C,)
     top: NDArray[np.int32]  # (C, K)
     ready: NDArray[np.uint8]  # (C,)
+    serial: NDArray[np.float64]  # (C,)
 
     @classmethod
     def empty(cls, capacity: int, references: int, candidates: int) -> RowBuffer:
@@ -96,6 +104,7 @@ class RowBuffer:
             scale=np.zeros(capacity),
             top=np.zeros((capacity, min(candidates, references)), np.int32),
             ready=np.zeros(capacity, np.uint8),
+            serial=np.full(capacity, np.nan),
         )
 
     def grown(self, capacity: int) -> RowBuffer:
@@ -109,12 +118,12 @@ class RowBuffer:
     def put(self, entry: int, row: NDArray[np.float32]) -> None:
         """Store a row; what SIC needs of it is computed when it is first used."""
         self.rows[entry] = row
-        self.ready[entry] = 0
+        self.ready[entry], self.serial[entry] = 0, np.nan
 
     def point(self, run: Any) -> None:
         """Write the addresses to a RUN record."""
         run["scores"] = self.rows.ctypes.data
-        for name in ("mean", "scale", "top", "ready"):
+        for name in PREPARED:
             run[name] = getattr(self, name).ctypes.data
         run["references"] = self.rows.shape[1]
         run["candidates"] = self.top.shape[1]
@@ -160,6 +169,12 @@ def top_at(run: Any, frame: int) -> Any:
 def ready_at(run: Any, frame: int) -> Any:
     """Whether the entries of a frame's row are filled."""
     return view(run.ready + entry_of(run, frame), 1, np.uint8)
+
+
+@inner
+def serial_at(run: Any, frame: int) -> Any:
+    """Correlation of a frame's row with the row before it, NaN where it is not known yet."""
+    return view(run.serial + entry_of(run, frame) * 8, 1, np.float64)
 
 
 @inner
@@ -226,3 +241,31 @@ def prepare(run: Any, frame: int) -> bool:
     rank_candidates(row, top_at(run, frame))
     ready[0] = 1
     return True
+
+
+@apart
+def serial_correlation(run: Any, frame: int) -> float:
+    """Correlation of a frame's row with the technique's row one frame before, moved on by a place.
+
+    Mean product of the z-scores of place c − 1 then and place c now, over c = 1, …, R − 1; 0 on a
+    map of one place. Both rows must be there. It is computed once per row.
+    """
+    known = serial_at(run, frame)
+    if math.isnan(known[0]):
+        prepare(run, frame - 1)  # again in an unpickled environment, whose bank starts unprepared
+        now, before = row_at(run, frame), row_at(run, frame - 1)
+        mean_now, mean_before = mean_at(run, frame)[0], mean_at(run, frame - 1)[0]
+        a, b, c, d = 0.0, 0.0, 0.0, 0.0  # four lanes: additions of one chain wait for each other
+        pairs = now.size - 1
+        even = pairs - pairs % 4
+        for i in range(0, even, 4):
+            a += (before[i] - mean_before) * (now[i + 1] - mean_now)
+            b += (before[i + 1] - mean_before) * (now[i + 2] - mean_now)
+            c += (before[i + 2] - mean_before) * (now[i + 3] - mean_now)
+            d += (before[i + 3] - mean_before) * (now[i + 4] - mean_now)
+        for i in range(even, pairs):
+            a += (before[i] - mean_before) * (now[i + 1] - mean_now)
+        scale = scale_at(run, frame)[0] * scale_at(run, frame - 1)[0] / max(pairs, 1)
+        known[0] = ((a + b) + (c + d)) * scale
+    correlation: float = known[0]
+    return correlation

@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from amusic_gym._compile import apart, compiled
+from amusic_gym._compile import apart, compiled, inner
 from amusic_gym.dynamics import correct_frame, recall, remember
 from amusic_gym.records import LAGGED, LIVE, Outcome, Rules, State, batch_at
-from amusic_gym.rows import prepare
-from amusic_gym.sic import first_best, push, ratio_of, weigh
+from amusic_gym.rows import prepare, top_at
+from amusic_gym.sic import candidate_at, discount_of, first_best, push, ratio_of, weigh
 
 
 @apart
@@ -64,12 +64,29 @@ def rebuild_lagged(state: State, rules: Rules, i: int, s: int, first: int) -> No
     live = state.marks[LIVE, i, s]
     live.origin, live.last = mark.origin, mark.last
     live.expired, live.since = mark.expired, mark.since
+    live.serial, live.serial_rows = mark.serial, mark.serial_rows
     live.waiting = mark.waiting
     live.leaving = mark.leaving
     for k in range(mark.waiting):
         live.frames[k] = mark.frames[k]
     for k in range(mark.leaving):
         live.left[k] = mark.left[k]
+
+
+@inner
+def moved_on(place: int) -> int:
+    """A place one frame later, −1 for none."""
+    return place + 1 if place >= 0 else -1
+
+
+@apart
+def match_before(state: State, i: int, s: int, first: int) -> int:
+    """A technique's last match before frame ``first``, moved on to the frame before it; or −1."""
+    for past in range(first - 1, -1, -1):
+        if state.ran[i, s, past]:
+            place: int = state.places[i, s, past] + (first - 1 - past)
+            return place
+    return -1
 
 
 @apart
@@ -89,10 +106,15 @@ def run_block(
     ratio = ratio_of(rules.gamma, rules.evidence)
     weigh(state.counts[i, s], state.prefix[i, s], ran, first, frame, ratio)
     rebuild_lagged(state, rules, i, s, first)
+    own = match_before(state, i, s, first)
     for past in range(first, frame):
-        winner = correct_frame(state, rules, i, s, past, out)
+        fused = state.predictions[i, past - 1] if past > 0 else -1
+        winner = correct_frame(state, rules, i, s, past, moved_on(own), moved_on(fused), out)
+        own = candidate_at(top_at(state.runs[i, s], past), state.carried[s], winner)
+        state.places[i, s, past] = own
         values = state.values[s]
-        statistics[past - first, s] = values[winner]
+        discount = discount_of(state.marks[LIVE, i, s])
+        statistics[past - first, s] = values[winner] * discount
         out.corrections[i, s, past - first] = values[winner] - values[0]
         if past == frame - 1:
             remember(state, state.routes[i].tolerance, i, s, past, winner)

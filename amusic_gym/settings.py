@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from amusic_gym.checks import number, whole
+from amusic_gym.checks import flag, number, whole
 from amusic_gym.names import suggest
 
 STATISTICS = ("mean", "evidence", "belief")
@@ -31,15 +31,21 @@ class SICSettings:
         candidates: K, how many best-scoring places of a row are candidates; clipped to the map.
         history: F, how many past frames count besides the current one.
         gamma: weight of a row per frame of age, in (0, 1].
+        carry: whether the technique's last match and the last fused prediction, both moved on by
+            one place per frame, are candidates too; None: with ``evidence``.
+        discount: whether MuSIC discounts the statistic of a technique whose neighbouring rows are
+            alike (serial correlation); None: with ``evidence``.
 
     Raises:
         ValueError: for an unknown statistic or a number out of range.
     """
 
-    statistic: str = "belief"
+    statistic: str = "evidence"
     candidates: int = 50
     history: int = 1000
     gamma: float = 1.0
+    carry: bool | None = None
+    discount: bool | None = None
 
     def __post_init__(self) -> None:
         if self.statistic not in STATISTICS:
@@ -50,3 +56,10 @@ class SICSettings:
         if not 0.0 < gamma <= 1.0:
             raise ValueError(f"gamma is {self.gamma!r}; give a number in (0, 1]")
         object.__setattr__(self, "gamma", gamma)
+        for name in ("carry", "discount"):
+            given = getattr(self, name)
+            if given is None:
+                given = self.statistic == "evidence"
+            if flag(name, given) and self.statistic == "belief":
+                raise ValueError(f"{name} is True, but 'belief' has no candidates; leave it out")
+            object.__setattr__(self, name, given)

@@ -17,7 +17,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym._compile import apart, compiled, inner
 from amusic_gym._tables import part
-from amusic_gym.rows import RUN, RowBuffer, mean_at, prepare, row_at, scale_at, top_at
+from amusic_gym.rows import (
+    RUN,
+    RowBuffer,
+    mean_at,
+    prepare,
+    row_at,
+    scale_at,
+    serial_correlation,
+    top_at,
+)
 from amusic_gym.settings import SICSettings
 
 RELATIVE_TIE = 1e-9
@@ -36,6 +45,18 @@ DEPTH = 8
 TILE = 1024
 """Places that several rows are added to in turn, so that their sums stay in the fastest cache."""
 
+CARRIED = 2
+"""Candidates besides the top K: the technique's own last match and the last fused prediction."""
+
+SERIAL_MEMORY = 0.98
+"""Weight of the mean serial correlation so far against one more row's."""
+
+SERIAL_PRIOR, SERIAL_PRIOR_ROWS = 0.5, 10.0
+"""Serial correlation before the first row, and the number of rows that it is worth."""
+
+SERIAL_MOST = 0.999
+"""Above it a technique's rows would say nothing at all."""
+
 SUMS = np.dtype(
     [
         ("origin", np.int64),  # place c at frame n has its sum at sums[origin - n + c]
@@ -47,9 +68,30 @@ SUMS = np.dtype(
         ("frames", np.int64, DEPTH),  # theirs, in order
         ("leaving", np.int64),  # rows that wait to be taken out
         ("left", np.int64, DEPTH),  # their frames
+        ("discount", np.int64),  # 1: the serial correlation is kept
+        ("serial", np.float64),  # running sum of the serial correlation
+        ("serial_rows", np.float64),  # rows that it sums over, the prior's among them
     ]
 )
 """Bookkeeping of one technique's running sums. Float64[R + SLACK] sums go with it."""
+
+
+def new_sums(marks: Any, references: int, room: int, settings: SICSettings) -> None:
+    """Reset SUMS records of any shape.
+
+    Args:
+        marks: the records.
+        references: R, places of the map.
+        room: length of the running sums, R + SLACK or more.
+        settings: of SIC.
+    """
+    marks[...] = np.zeros((), SUMS)
+    marks["last"] = -1
+    marks["origin"] = max(room - references, 0)
+    marks["depth"] = depth_for(references, settings.gamma)
+    marks["discount"] = settings.discount
+    marks["serial"] = SERIAL_PRIOR * SERIAL_PRIOR_ROWS
+    marks["serial_rows"] = SERIAL_PRIOR_ROWS
 
 
 def depth_for(references: int, gamma: float) -> int:
@@ -189,7 +231,23 @@ def push(sums: Any, mark: Any, run: Any, ran: Any, frame: int, history: int, gam
         add_waiting(sums, mark, run, frame)
     if frame != mark.last + 1:
         mark.since = frame
+    elif mark.discount and frame > 0:
+        mark.serial = SERIAL_MEMORY * mark.serial + serial_correlation(run, frame)
+        mark.serial_rows = SERIAL_MEMORY * mark.serial_rows + 1.0
     mark.last = frame
+
+
+@inner
+def discount_of(mark: Any) -> float:
+    """√((1 − ρ)/(1 + ρ)), ρ the mean serial correlation of a technique's rows; 1 if not kept.
+
+    Stouffer's √n takes rows for independent; of an autoregressive sequence so many of n are.
+    """
+    discount = 1.0
+    if mark.discount:
+        rho = min(max(mark.serial / mark.serial_rows, 0.0), SERIAL_MOST)
+        discount = math.sqrt((1.0 - rho) / (1.0 + rho))
+    return discount
 
 
 @compiled
@@ -271,6 +329,38 @@ def first_near(values: Any, best: float, size: int) -> int:
 
 
 @inner
+def diagonal_statistic(
+    sums: Any,
+    mark: Any,
+    run: Any,
+    counts: Any,
+    prefix: Any,
+    factors: Any,
+    frame: int,
+    history: int,
+    gamma: float,
+    evidence: bool,
+    place: int,
+) -> float:
+    """Statistic of any place at ``frame``, the last on which the technique ran; −∞ off the map."""
+    if place < 0 or place >= run.references:
+        return -math.inf
+    total = sums[np.uintp(mark.origin - frame + place)]
+    if mark.waiting + mark.leaving > 0:
+        total = with_waiting(total, mark, run, frame, place)
+    span = min(min(history, frame), place)
+    weight = weight_of(counts, prefix, frame, span, ratio_of(gamma, evidence))
+    return statistic_of(total, weight, factors, gamma, evidence)
+
+
+@inner
+def candidate_at(top: Any, carried: Any, rank: int) -> int:
+    """Place of a candidate: the top K of the row come first, then those carried on, −1 for none."""
+    place: int = top[rank] if rank < top.size else carried[rank - top.size]
+    return place
+
+
+@inner
 def best_candidate(
     sums: Any,
     mark: Any,
@@ -282,11 +372,13 @@ def best_candidate(
     history: int,
     gamma: float,
     evidence: bool,
+    carried: Any,
     out: Any,
 ) -> int:
-    """Write the statistics of a row's candidates at ``frame`` to ``out`` (K,).
+    """Write the statistics of a row's candidates at ``frame`` to ``out`` (K + CARRIED,).
 
     ``factors`` are those of :func:`factors_of`, for as many rows as the history and the map have.
+    ``carried`` (CARRIED,) holds the places that are carried on; those off the map get −∞.
 
     Returns:
         Rank of the candidate of the highest statistic; of equal ones the first.
@@ -325,7 +417,14 @@ def best_candidate(
             statistic = statistic_of(total, weight, factors, gamma, evidence)
             out[rank] = statistic
             best = max(best, statistic)
-    return first_near(out, best, top.size)
+    for k in range(CARRIED):
+        place = carried[k]
+        statistic = diagonal_statistic(
+            sums, mark, run, counts, prefix, factors, frame, history, gamma, evidence, place
+        )
+        out[top.size + k] = statistic
+        best = max(best, statistic)
+    return first_near(out, best, top.size + CARRIED)
 
 
 @compiled
@@ -345,12 +444,13 @@ def value_beyond(values: Any, top: Any, rank: int, place: int, tolerance: int) -
 
 
 @inner
-def best_rival(values: Any, top: Any, size: int, place: int, tolerance: int, best: float) -> float:
-    """Highest of ``best`` and the statistics of candidates beyond ``tolerance`` of ``place``.
+def best_rival(values: Any, top: Any, carried: Any, place: int, tolerance: int) -> float:
+    """Highest statistic of the candidates beyond ``tolerance`` of ``place``; −∞ if there are none.
 
     In four lanes: comparisons of one chain wait for each other.
     """
-    a, b, c, d = best, -math.inf, -math.inf, -math.inf
+    a, b, c, d = -math.inf, -math.inf, -math.inf, -math.inf
+    size = top.size
     even = size - size % 4
     for i in range(0, even, 4):
         a = max(a, value_beyond(values, top, i, place, tolerance))
@@ -359,6 +459,9 @@ def best_rival(values: Any, top: Any, size: int, place: int, tolerance: int, bes
         d = max(d, value_beyond(values, top, i + 3, place, tolerance))
     for i in range(even, size):
         a = max(a, value_beyond(values, top, i, place, tolerance))
+    for k in range(CARRIED):
+        if abs(carried[k] - place) > tolerance:
+            b = max(b, values[size + k])
     return max(max(a, b), max(c, d))
 
 
@@ -375,13 +478,14 @@ def correct_one(
     history: int,
     gamma: float,
     evidence: bool,
+    carried: Any,
     out: Any,
 ) -> int:
     """Correct one technique on a frame: :func:`push`, :func:`weigh`, :func:`best_candidate`."""
     push(sums, mark, run, ran, frame, history, gamma)
     weigh(counts, prefix, ran, frame, frame + 1, ratio_of(gamma, evidence))
     return best_candidate(
-        sums, mark, run, counts, prefix, factors, frame, history, gamma, evidence, out
+        sums, mark, run, counts, prefix, factors, frame, history, gamma, evidence, carried, out
     )
 
 
@@ -465,16 +569,20 @@ class SIC:
         reach = min(self.settings.history, references)
         self._factors = factors_of(reach + 1, self.settings.statistic == "evidence")
         self._mark = np.zeros(1, SUMS)
-        self._mark["last"] = -1
-        self._mark["origin"] = SLACK
-        self._mark["depth"] = depth_for(references, self.settings.gamma)
+        new_sums(self._mark, references, self._sums.size, self.settings)
+        self._last = -1  # the last match, moved on; -1 before the first and off the map
 
     def skip(self) -> None:
         """Let a frame pass on which the technique does not run."""
         self._weigh(self._advance())
 
-    def correct(self, row: ArrayLike) -> Match:
+    def correct(self, row: ArrayLike, fused: int = -1) -> Match:
         """Take the technique's scores (R,) of the next frame and return the corrected match.
+
+        Args:
+            row: the scores.
+            fused: MuSIC's last prediction, moved on by one place per frame since, which is a
+                candidate where the settings carry places on; −1 for none, or SIC alone.
 
         Raises:
             ValueError: for scores of the wrong shape, or NaN or infinite ones.
@@ -483,15 +591,20 @@ class SIC:
         frame = self._advance()
         self._history.buffer.put(frame, scores)
         self._history.ran[frame] = 1
-        return self._match(frame)
+        return self._match(frame, fused)
 
-    def preview(self, row: ArrayLike) -> Match:
+    def preview(self, row: ArrayLike, fused: int = -1) -> Match:
         """What :meth:`correct` would return for the next frame, without taking it."""
-        saved = (self.frame, self._sums.copy(), self._mark.copy())
-        match = self.correct(row)
+        saved = (self.frame, self._sums.copy(), self._mark.copy(), self._last)
+        match = self.correct(row, fused)
         self._history.ran[self.frame] = 0
-        self.frame, self._sums, self._mark = saved
+        self.frame, self._sums, self._mark, self._last = saved
         return match
+
+    @property
+    def discount(self) -> float:
+        """What MuSIC multiplies the statistic by, for the serial correlation of the rows so far."""
+        return float(discount_of(self._mark[0]))
 
     def _checked(self, row: ArrayLike) -> NDArray[np.float32]:
         scores = np.asarray(row, dtype=np.float32)
@@ -506,6 +619,7 @@ class SIC:
 
     def _advance(self) -> int:
         self.frame += 1
+        self._last += self._last >= 0
         if self.frame >= len(self._history.ran):
             self._history = self._history.grown()
         return self.frame
@@ -515,15 +629,17 @@ class SIC:
         ratio = ratio_of(self.settings.gamma, self.settings.statistic == "evidence")
         weigh(rows.counts, rows.prefix, rows.ran, frame, frame + 1, ratio)
 
-    def _match(self, frame: int) -> Match:
+    def _match(self, frame: int, fused: int) -> Match:
         settings, rows, mark = self.settings, self._history, self._mark[0]
         evidence = settings.statistic == "evidence"
         run, history, gamma = rows.run(), settings.history, settings.gamma
         prepare(run, frame)
         top = rows.buffer.top[frame]
-        values = np.empty(top.size)
+        carried = np.array([self._last, fused] if settings.carry else [-1, -1])
+        values = np.empty(top.size + CARRIED)
         winner = correct_one(
             *(self._sums, mark, run, rows.ran, rows.counts, rows.prefix, self._factors),
-            *(frame, history, gamma, evidence, values),
+            *(frame, history, gamma, evidence, carried, values),
         )
-        return Match(int(top[winner]), float(values[winner]), float(values[winner] - values[0]))
+        self._last = int(np.concatenate([top, carried])[winner])
+        return Match(self._last, float(values[winner]), float(values[winner] - values[0]))

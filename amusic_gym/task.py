@@ -50,6 +50,8 @@ class Task:
         candidates: K.
         history: F.
         gamma: weight of a row per frame of age.
+        carry: whether places are carried on as candidates; None: with ``"evidence"``.
+        discount: whether MuSIC discounts alike rows; None: with ``"evidence"``.
         compute_weight: λ, or a range from which every episode draws it on a logarithmic scale.
         reselection: M, the block of the re-select bit; None: no such bit.
         coverage: E of the re-selection.
@@ -77,6 +79,8 @@ class Task:
         candidates: int = SICSettings.candidates,
         history: int = SICSettings.history,
         gamma: float = SICSettings.gamma,
+        carry: bool | None = SICSettings.carry,
+        discount: bool | None = SICSettings.discount,
         compute_weight: float | tuple[float, float] = 1.0,
         reselection: int | None = None,
         coverage: float = COVERAGE,
@@ -96,7 +100,7 @@ class Task:
         num_routes = whole("num_envs", num_routes, 1)
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(suggest("render mode", render_mode, RENDER_MODES))
-        self.settings = SICSettings(statistic, candidates, history, gamma)
+        self.settings = SICSettings(statistic, candidates, history, gamma, carry, discount)
         self.source = as_source(bank, costs=costs, aligned=slots is None)
         self.slots = self._count("slots", slots, least=self.source.slots) or self.source.slots
         self.episode_length = self._count("episode_length", episode_length, least=1)
