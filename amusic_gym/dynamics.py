@@ -220,9 +220,10 @@ def fuse(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
         rival = max(rival, best * slots[s].discount)
     has_rival = rival > -math.inf
     arrive(route, place)
-    route.confidence = slots[chosen].statistic * slots[chosen].discount
-    route.margin = route.confidence - rival if has_rival else 0.0
-    route.p_correct = estimate(rules.calibration, route.confidence, route.margin, has_rival)
+    discounted = slots[chosen].statistic * slots[chosen].discount
+    route.confidence = slots[chosen].statistic
+    route.margin = discounted - rival if has_rival else 0.0
+    route.p_correct = estimate(rules.calibration, discounted, route.margin, has_rival)
 
 
 @inner
