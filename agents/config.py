@@ -14,7 +14,7 @@ from agents.run_folder import CONFIG, read_config, versions
 from amusic_gym import __version__
 from amusic_gym.names import suggest
 from amusic_gym.rewards import REWARDS
-from amusic_gym.routes.simulate import POPULATION, Simulation
+from amusic_gym.routes.simulate import Simulation, population
 from amusic_gym.settings import SICSettings
 
 HIGHEST_SEED = 1_000_000_000
@@ -88,7 +88,7 @@ class TrainingConfig:
             the training routes instead of from p̂, which a selector may learn to please.
         compute_weights: range from which every episode draws λ, on a logarithmic scale.
         simulation: name → value or (low, high), of ranges that training routes are drawn from
-            instead of those of `amusic_gym.routes.simulate.POPULATION`.
+            instead of those of `amusic_gym.routes.simulate.population`.
         pool: simulated training routes that are drawn from again and again.
         n_steps: frames per route between two updates.
         batch_size: frames per gradient step, at most.
@@ -159,7 +159,7 @@ class TrainingConfig:
         for name in self.simulation:
             if name not in names:
                 raise ValueError(suggest("range of the simulation", name, names))
-        return replace(POPULATION, **self.simulation)
+        return replace(population(self.statistic), **self.simulation)
 
     @property
     def rollout(self) -> int:

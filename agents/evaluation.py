@@ -9,7 +9,7 @@ import numpy as np
 from amusic_gym.metrics import compute
 from amusic_gym.policy import Selector
 from amusic_gym.rollout import Job, rollouts
-from amusic_gym.routes.simulate import POPULATION
+from amusic_gym.routes.simulate import population
 from amusic_gym.sources import SimulatedRoutes
 
 HELD_OUT_SEED = 2_000_000_000
@@ -43,7 +43,9 @@ class HeldOut:
     """
 
     def __init__(self, routes: int, statistic: str) -> None:
-        source = SimulatedRoutes(POPULATION, pool=routes, seed=HELD_OUT_SEED, keep=routes)
+        source = SimulatedRoutes(
+            population(statistic), pool=routes, seed=HELD_OUT_SEED, keep=routes
+        )
         rng = np.random.default_rng(0)
         banks = [source.sample(rng, i)[0] for i in range(routes)]
         self.jobs = [Job(bank, weight) for bank in banks for weight in COMPUTE_WEIGHTS]

@@ -13,7 +13,7 @@ from typing import Any
 
 from amusic_gym._compile import compiled, inner, spliced
 from amusic_gym.belief.places import log_odds, log_ratio
-from amusic_gym.observation import SMOOTHING, observe
+from amusic_gym.observation import SMOOTHING, USUAL_SMOOTHING, observe
 from amusic_gym.records import LIVE, PAST_END, Outcome, Rules, State, batch_at
 from amusic_gym.rows import mean_at, prepare, row_at, scale_at, top_at
 from amusic_gym.sic import (
@@ -175,13 +175,13 @@ def sigmoid(logit: float) -> float:
 
 @inner
 def estimate(calibration: Any, statistic: float, margin: float, has_rival: bool) -> float:
-    """p̂ of a match: see amusic_gym.calibration."""
+    """Logit of p̂ of a match: see amusic_gym.calibration."""
     s = math.asinh(statistic)
     if has_rival:
         logit = calibration[0] + calibration[1] * s + calibration[2] * math.asinh(margin)
     else:
         logit = calibration[3] + calibration[4] * s
-    return sigmoid(logit)
+    return min(max(logit, -30.0), 30.0)
 
 
 @inner
@@ -200,6 +200,7 @@ def trust_highest(state: State, i: int, out: Outcome) -> int:
 def arrive(route: Any, place: int) -> None:
     """Make ``place`` the prediction."""
     route.continues = 1.0 if route.prediction >= 0 and place == route.prediction + 1 else 0.0
+    route.track = route.track + 0.1 if route.continues > 0.0 else 0.0
     route.prediction = place
 
 
@@ -223,7 +224,8 @@ def fuse(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
     discounted = slots[chosen].statistic * slots[chosen].discount
     route.confidence = slots[chosen].statistic
     route.margin = discounted - rival if has_rival else 0.0
-    route.p_correct = estimate(rules.calibration, discounted, route.margin, has_rival)
+    route.logit = estimate(rules.calibration, discounted, route.margin, has_rival)
+    route.p_correct = sigmoid(route.logit)
 
 
 @inner
@@ -247,6 +249,7 @@ def believe(state: State, rules: Rules, i: int, out: Outcome) -> None:
     logit = b[0] + b[1] * log_odds(mind.share) + b[2] * route.margin
     logit += b[3] * route.said + b[4] * route.said_mean
     route.confidence = min(max(logit, -30.0), 30.0)
+    route.logit = route.confidence
     route.p_correct = sigmoid(logit)
     route.steady, route.strange = mind.steady, mind.strange
     if not out.routes[i].idle:
@@ -258,6 +261,7 @@ def coast(route: Any) -> None:
     """Move the prediction on by one place when nothing ran."""
     moves = 0 <= route.prediction < route.references - 1
     route.continues = 1.0 if moves else 0.0
+    route.track = route.track + 0.1 if moves else 0.0
     route.prediction += moves
     route.margin = 0.0
     route.confidence *= IDLE_DECAY
@@ -282,6 +286,7 @@ def relate(state: State, rules: Rules, i: int, frame: int) -> None:
     """Relate every technique's last run to the fused prediction (features of the observation)."""
     slots, route = state.slots[i], state.routes[i]
     present, agreeing = 0, 0.0
+    route.since_confirmed += 1.0
     for s in range(slots.size):
         slot = slots[s]
         if not slot.present:
@@ -299,6 +304,14 @@ def relate(state: State, rules: Rules, i: int, frame: int) -> None:
             z = row_at(run, frame)[route.prediction] - mean_at(run, frame)[0]
             slot.support = z * scale_at(run, frame)[0]
             slot.support_mean += SMOOTHING * (slot.support - slot.support_mean)
+            slot.runs += 1.0
+            usual = max(USUAL_SMOOTHING, 1.0 / slot.runs)
+            slot.support_usual += usual * (slot.support - slot.support_usual)
+            near = abs(top_at(run, frame)[0] - route.prediction) <= route.tolerance
+            slot.confirms = 1.0 if near else 0.0
+            slot.confirmation += SMOOTHING * (slot.confirms - slot.confirmation)
+            if near:
+                route.since_confirmed = 0.0
             slot.agreement += SMOOTHING * (slot.agrees - slot.agreement)
     route.agreeing = agreeing / present
 

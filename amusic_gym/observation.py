@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from amusic_gym._compile import inner
 from amusic_gym.settings import COMPUTE_WEIGHT_RANGE
 
-VERSION = 3
+VERSION = 4
 """Rises whenever the meaning or the order of an entry changes; trained runs store it."""
 
 TECHNIQUE_FEATURES = (
@@ -37,6 +37,10 @@ TECHNIQUE_FEATURES = (
     "cost_share",
     "cost_log",
     "price",
+    "confirms",
+    "confirmation",
+    "support_usual",
+    "dissent",
 )
 ROUTE_FEATURES = (
     "compute_weight",
@@ -56,6 +60,9 @@ ROUTE_FEATURES = (
     "said_mean",
     "strange",
     "size",
+    "logit",
+    "since_confirmed",
+    "track",
 )
 
 SQUASH_HALF = 4.0
@@ -66,6 +73,9 @@ TINY = 1e-9
 
 SMOOTHING = 0.2
 """Weight of the newest value in every running mean of the observation."""
+
+USUAL_SMOOTHING = 0.02
+"""Weight of the newest value in what is usual for a technique; that of k values is 1 / k or more."""
 
 _LOG_LOW = math.log10(COMPUTE_WEIGHT_RANGE[0])
 _LOG_SPAN = math.log10(COMPUTE_WEIGHT_RANGE[1]) - _LOG_LOW
@@ -106,6 +116,10 @@ def observe_technique(slot: Any, route: Any, out: Any) -> None:
     out[15] = slot.cost_share
     out[16] = slot.cost_log
     out[17] = slot.price
+    out[18] = slot.confirms
+    out[19] = slot.confirmation
+    out[20] = squash(slot.support_usual)
+    out[21] = squash(slot.statistic - slot.stored)
 
 
 @inner
@@ -128,6 +142,9 @@ def observe_route(route: Any, out: Any) -> None:
     out[14] = squash(route.said_mean)
     out[15] = squash(route.strange)
     out[16] = route.size_log
+    out[17] = squash(route.logit)
+    out[18] = squash(route.since_confirmed)
+    out[19] = squash(route.track)
 
 
 @inner

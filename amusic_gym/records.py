@@ -41,6 +41,9 @@ ROUTE = np.dtype(
         ("p_correct", np.float64),
         ("p_correct_mean", np.float64),
         ("continues", np.float64),  # 1 if the prediction moved on by one place
+        ("track", np.float64),  # tens of frames in a row on which it did
+        ("logit", np.float64),  # of p_correct
+        ("since_confirmed", np.float64),  # frames since a technique that ran confirmed it
         ("since_doubt", np.float64),
         ("spent", np.float64),  # seconds to charge for this step; -1: those declared of its runs
         ("compute", np.float64),  # seconds of this step / total_seconds
@@ -73,6 +76,10 @@ SLOT = np.dtype(
         ("agreement", np.float64),  # running mean of agrees over the runs
         ("support", np.float64),  # z-score of the fused place in the last row
         ("support_mean", np.float64),
+        ("support_usual", np.float64),  # slow running mean
+        ("confirms", np.float64),  # 1 if the last row's own best place is the fused one
+        ("confirmation", np.float64),  # running mean of confirms over the runs
+        ("runs", np.float64),  # number of runs
         ("stored", np.float64),  # what the last run said for the fused diagonal
         ("trust", np.float64),  # belief: probability that a row is informative
         ("sharpness", np.float64),  # belief: how sharp they are on average, of at most 1

@@ -24,6 +24,8 @@ class Look:
     """How one technique sees the world: one draw from the ranges of `Simulation`."""
 
     dimensions: int  # of its descriptors; more make the true place stand out further
+    trend: float  # share of a descriptor's variance that changes slowly along the map ...
+    trend_length: float  # ... and the places over which it does
     smoothness: float  # places over which descriptors stay alike (e-folding length)
     grain: float  # share of a descriptor's variance that no other place has
     aliasing: float  # how far repeated segments are the same, 0 not at all .. 1 identical
@@ -71,7 +73,7 @@ def write_scores(
     rng: np.random.Generator,
     world: World,
     look: Look,
-    competence: NDArray[np.float64],
+    technique: int,
     out: Floats,
 ) -> None:
     """Scores of one technique: descriptors of map and query, cosine, bend, scale.
@@ -80,12 +82,14 @@ def write_scores(
         rng: the source of chance.
         world: what all techniques share, on Q frames, R places and C conditions.
         look: how this one sees it.
-        competence: (C,) in each condition, 0 useless .. 1 noiseless.
+        technique: its number in the world.
         out: (Q, R) float32, written to.
     """
     queries, references = out.shape
-    size = look.dimensions
+    size, competence = look.dimensions, world.competence[technique]
     places = smooth(rng, references, size, look.smoothness, look.grain)
+    if look.trend:
+        places = _mix(places, smooth(rng, references, size, look.trend_length), look.trend)
     alias = np.where(world.source == np.arange(references), 0.0, look.aliasing)
     places = _mix(places, places[world.source], np.square(alias)[:, None])
     noise = smooth(rng, queries, size, look.noise_memory, look.noise_grain)
@@ -96,6 +100,9 @@ def write_scores(
         always = rng.standard_normal(size, dtype=np.float32)
         turn, lean = _mix(turn, always, look.lasting), _mix(lean, lean[:1], look.lasting)
     shift = (look.shift * math.sqrt(size)) * _unit(turn + lean * common)  # (C, D)
+    if world.decoy is not None and world.lure is not None:
+        lure = np.square(world.lure[technique])[:, None]  # (Q, 1)
+        noise = _mix(noise, _between(places, world.decoy[technique]), lure)
     level = competence[world.condition][:, None]  # (Q, 1)
     seen = _mix(noise, _between(places, world.seen), np.square(level))
     seen += shift[world.condition]

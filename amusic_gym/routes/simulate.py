@@ -41,6 +41,7 @@ from amusic_gym.routes.world import (
     Ints,
     World,
     bland_places,
+    decoys,
     no_repeats,
     repeated_places,
     varied_drive,
@@ -63,6 +64,9 @@ LIMITS: dict[str, Range] = {
     "wander": (0, 1000),
     "wander_memory": (0, math.inf),
     "seconds": (1e-9, 1e9),
+    "decoy_strength": (0, 1),
+    "trend": (0, 1),
+    "trend_length": (0, math.inf),
     "dimensions": (2, 4096),
     "smoothness": (0, math.inf),
     "grain": (0, 1),
@@ -80,6 +84,7 @@ LIMITS: dict[str, Range] = {
 _SHARES = (
     *("same_length", "ability_spread", "useless", "all_fail", "all_good", "exclusive"),
     *("cost_follows_ability", "speed_change", "jump", "retimed", "hubs"),
+    *("decoy", "decoy_shared", "copies"),
 )
 _INTEGERS = ("queries", "techniques", "conditions", "dimensions")
 
@@ -119,6 +124,7 @@ class Simulation:
     exclusive: float = 0.15  # share of routes on which each condition has one good technique
     seconds: Range = (0.02, 2.0)  # cost of one run, log-uniform
     cost_follows_ability: float = 0.3  # correlation of the ranks of cost and mean competence
+    copies: float = 0.0  # chance that a technique sees exactly what the one before it sees
 
     # What a route looks like
     alias_density: float = 0.6  # repeated segments per 100 places
@@ -126,8 +132,13 @@ class Simulation:
     bland_density: float = 1.0  # hubs and voids per 100 places
     bland_length: tuple[int, int] = (1, 12)  # places
     hubs: float = 0.6  # share of the bland spans that attract instead of repel
+    decoy: float = 0.0  # chance that in a spell a technique takes the images for another place's
+    decoy_shared: float = 0.5  # chance that this place is the one that others take them for, too
+    decoy_strength: Range = (0.3, 0.9)  # how much of its noise then looks like that place
 
     # How techniques see it: ranges of `Look`
+    trend: Range = (0.0, 0.0)
+    trend_length: Range = (40.0, 200.0)
     dimensions: tuple[int, int] = (12, 48)
     smoothness: Range = (1.0, 14.0)
     grain: Range = (0.0, 0.4)
@@ -174,8 +185,9 @@ class Simulation:
         queries = draw_integer(rng, self.queries)
         techniques = draw_integer(rng, self.techniques)
         references = self._map_length(rng, queries)
-        competence, condition = self._conditions(rng, techniques, queries)
+        competence, condition, spell = self._conditions(rng, techniques, queries)
         place = self._drive(rng, queries, references)
+        decoy, lure = self._decoys(rng, place, spell, references, techniques)
         world = World(
             place=place,
             seen=self._seen(rng, place, references),
@@ -183,10 +195,15 @@ class Simulation:
             competence=competence,
             source=repeated_places(rng, references, self.alias_density, self.alias_length),
             bland=bland_places(rng, references, self.bland_density, self.bland_length, self.hubs),
+            decoy=decoy,
+            lure=lure,
         )
         seconds = self._seconds(rng, competence[:, condition].mean(axis=1))
         looks = [self._look(rng) for _ in range(techniques)]
-        bank = _bank(rng, world, looks, seconds, self.tolerance, name)
+        copied = np.zeros(techniques, np.bool_)
+        if self.copies:
+            copied[1:] = rng.random(techniques - 1) < self.copies
+        bank = _bank(rng, world, looks, seconds, self.tolerance, name, copied)
         if rng.random() < self.retimed:
             bank = retime(bank, int(rng.integers(2**31)))
         return bank
@@ -219,8 +236,8 @@ class Simulation:
 
     def _conditions(
         self, rng: np.random.Generator, techniques: int, queries: int
-    ) -> tuple[NDArray[np.float64], Ints]:
-        """Competence (T, C) per technique and condition, and the condition of each frame (Q,)."""
+    ) -> tuple[NDArray[np.float64], Ints, Ints]:
+        """Competence (T, C) per technique and condition; condition and spell of each frame (Q,)."""
         count = draw_integer(rng, self.conditions)
         shape = (techniques, count)
         ability = rng.uniform(*self.ability, (techniques, 1))
@@ -234,7 +251,29 @@ class Simulation:
             competence = np.where(np.arange(techniques)[:, None] == good, strong, weak)
         changes = rng.random(queries) < 1.0 / rng.uniform(*self.regime_length)
         regime = np.cumsum(changes)  # (Q,)
-        return competence, no_repeats(rng, int(regime[-1]) + 1, count)[regime]
+        return competence, no_repeats(rng, int(regime[-1]) + 1, count)[regime], regime
+
+    def _decoys(
+        self,
+        rng: np.random.Generator,
+        place: NDArray[np.float64],
+        spell: Ints,
+        references: int,
+        techniques: int,
+    ) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
+        """Decoys (T, Q) and their strengths (T, Q), None where routes have none."""
+        if not self.decoy:
+            return None, None
+        return decoys(
+            rng,
+            place,
+            spell,
+            references,
+            techniques,
+            chance=self.decoy,
+            shared=self.decoy_shared,
+            strength=self.decoy_strength,
+        )
 
     def _seconds(
         self, rng: np.random.Generator, ability: NDArray[np.float64]
@@ -252,6 +291,9 @@ class Simulation:
         values: dict[str, float] = {}
         for field in fields(Look):
             pick = draw_integer if field.name in _INTEGERS else draw
+            if field.name.startswith("trend") and not self.trend[1]:
+                values[field.name] = 0.0
+                continue
             values[field.name] = pick(rng, getattr(self, field.name))
         return Look(**values)  # type: ignore[arg-type]  # `dimensions` is drawn as int
 
@@ -267,6 +309,37 @@ POPULATION = Simulation(
     exclusive=0.05,
 )
 """The routes that the belief, p̂ and selectors are fitted on: motion first of all."""
+
+TOURS = Simulation(
+    queries=(150, 500),
+    same_length=0.6,
+    map_factor=(1.0, 2.0),
+    wander=(0.0, 0.8),
+    techniques=(2, 6),
+    conditions=(2, 6),
+    regime_length=(40.0, 100.0),
+    ability=(0.45, 0.97),
+    useless=0.3,
+    weak=(0.0, 0.35),
+    all_fail=0.03,
+    exclusive=0.1,
+    cost_follows_ability=0.5,
+    copies=0.03,
+    decoy=0.3,
+    trend=(0.0, 0.5),
+    dimensions=(12, 80),
+    smoothness=(0.7, 14.0),
+    grain=(0.0, 0.6),
+    noise_memory=(1.0, 25.0),
+    noise_grain=(0.0, 0.7),
+    shift=(0.3, 5.0),
+)
+"""Steady drives through changing conditions: what SIC's p̂ and its selectors are fitted on."""
+
+
+def population(statistic: str) -> Simulation:
+    """The routes that p̂ and selectors of a statistic are fitted on: of the motion it is made for."""
+    return POPULATION if statistic == "belief" else TOURS
 
 
 def simulate(
@@ -360,6 +433,8 @@ def planted(
 
 # Sharp and without memory: useless means useless, and the good technique is found in one frame.
 _PLANTED = Look(
+    trend=0.0,
+    trend_length=1.0,
     dimensions=48,
     smoothness=1.0,
     grain=0.3,
@@ -388,12 +463,19 @@ def _bank(
     seconds: NDArray[np.float64],
     tolerance: int,
     name: str,
+    copied: NDArray[np.bool_] | None = None,
 ) -> ScoreBank:
-    """Scores of all techniques, and with the truth of the drive a bank."""
+    """Scores of all techniques, and with the truth of the drive a bank.
+
+    ``copied`` (T,): the technique sees what the one before it sees.
+    """
     queries, references = world.place.size, world.source.size
     scores = np.empty((len(looks), queries, references), np.float32)  # (T, Q, R)
     for t, look in enumerate(looks):
-        write_scores(rng, world, look, world.competence[t], scores[t])
+        if copied is not None and copied[t]:
+            scores[t] = scores[t - 1]
+        else:
+            write_scores(rng, world, look, t, scores[t])
     return ScoreBank(
         scores,
         TECHNIQUE_NAMES[: len(looks)],

@@ -28,6 +28,8 @@ class World:
     competence: NDArray[np.float64]  # (T, C) 0 useless .. 1 noiseless
     source: Ints  # (R,) the place that each place repeats; itself where none
     bland: Floats  # (R,) +1 hub, -1 void, 0 neither
+    decoy: NDArray[np.float64] | None = None  # (T, Q) a wrong position that images look like, too
+    lure: NDArray[np.float64] | None = None  # (T, Q) how much of the noise looks like it, 0 .. 1
 
 
 def varied_drive(
@@ -53,6 +55,52 @@ def varied_drive(
         places[q] = position
         position += speed
     return np.asarray(places)
+
+
+def decoys(
+    rng: np.random.Generator,
+    place: NDArray[np.float64],
+    spell: Ints,
+    references: int,
+    techniques: int,
+    *,
+    chance: float,
+    shared: float,
+    strength: tuple[float, float],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Wrong positions that images look like for a spell, one that techniques share among them.
+
+    In each spell a technique has a decoy with a chance; it is the spell's shared one, or its own. A
+    decoy moves along with the robot, or stays where it is.
+
+    Args:
+        rng: the source of chance.
+        place: (Q,) true positions.
+        spell: (Q,) number of each frame's spell, from 0 on.
+        references: R.
+        techniques: T.
+        chance: that a technique has a decoy in a spell.
+        shared: chance that it is the shared one.
+        strength: range of how much of a technique's noise looks like its decoy.
+
+    Returns:
+        (T, Q) positions and (T, Q) strengths, 0 where there is none.
+    """
+    position: NDArray[np.float64] = np.zeros((techniques, place.size))
+    lure: NDArray[np.float64] = np.zeros((techniques, place.size))
+    last = references - 1.0
+    for number in range(int(spell[-1]) + 1):
+        frames = np.flatnonzero(spell == number)
+        starts = rng.uniform(0.0, last, techniques + 1)  # the last one is shared
+        moves = rng.random(techniques + 1) < 0.5
+        took = rng.random(techniques) < chance
+        which = np.where(rng.random(techniques) < shared, techniques, np.arange(techniques))
+        strengths = rng.uniform(*strength, techniques)
+        for t in np.flatnonzero(took):
+            along = place[frames] - place[frames[0]] if moves[which[t]] else 0.0
+            position[t, frames] = np.clip(starts[which[t]] + along, 0.0, last)
+            lure[t, frames] = strengths[t]
+    return position, lure
 
 
 def repeated_places(
