@@ -76,7 +76,7 @@ def decoys(
     Args:
         rng: the source of chance.
         place: (Q,) true positions.
-        spell: (Q,) number of each frame's spell, from 0 on.
+        spell: (Q,) number of each frame's spell.
         references: R.
         techniques: T.
         chance: that a technique has a decoy in a spell.
@@ -89,7 +89,7 @@ def decoys(
     position: NDArray[np.float64] = np.zeros((techniques, place.size))
     lure: NDArray[np.float64] = np.zeros((techniques, place.size))
     last = references - 1.0
-    for number in range(int(spell[-1]) + 1):
+    for number in np.unique(spell):
         frames = np.flatnonzero(spell == number)
         starts = rng.uniform(0.0, last, techniques + 1)  # the last one is shared
         moves = rng.random(techniques + 1) < 0.5
