@@ -292,6 +292,8 @@ def finish(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None
     if out.routes[i].idle:
         out.routes[i].technique = -1
     relate(state, rules, i, frame)
+    chosen = out.routes[i].technique
+    out.routes[i].similarity = state.slots[i, chosen].support if chosen >= 0 else 0.0
     route.frame = frame
     route.since_doubt = 0.0 if route.p_correct < DOUBT else route.since_doubt + 1.0
     route.p_correct_mean += SMOOTHING * (route.p_correct - route.p_correct_mean)
