@@ -105,11 +105,11 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
 
     ## Information
     The same keys and shapes at every step, zeros where a technique did not run (`ran` is the
-    mask): `frame`, `route` (number of the bank), `prediction`, `confidence`, `similarity` (z-score of
-    the prediction in this frame's row of the technique trusted, 0: nothing ran), `p_correct`,
-    `margin`, `technique` (of the highest statistic, −1: none), `ran`, `place`, `statistic`,
-    `correction`, `present`, `run_seconds`, `seconds`, `fallback`, `idle`, `compute_weight`,
-    `reward_terms` and, with `reselection`, `selection` (`happened`, `tally`, `selected`,
+    mask): `frame`, `route` (number of the bank), `prediction`, `confidence`, `p_correct`,
+    `similarity` (z-score of the prediction in this frame's row of the trusted technique, 0:
+    nothing ran), `margin`, `technique` (of the highest statistic, −1: none), `ran`, `place`,
+    `statistic`, `correction`, `present`, `run_seconds`, `seconds`, `fallback`, `idle`,
+    `compute_weight`, `reward_terms` and, with `reselection`, `selection` (`happened`, `tally`, `selected`,
     `corrections` (T, M), `late_runs`). Never ground truth.
 
     ## Arguments

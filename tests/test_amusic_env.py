@@ -131,6 +131,7 @@ def test_traces_of_several_routes_are_the_loops():
                 assert found.chosen.tolist() == expected.chosen
                 assert found.ran.tolist() == expected.ran
                 np.testing.assert_allclose(found.confidence, expected.confidences, **CLOSE)
+                np.testing.assert_allclose(found.similarity, expected.similarities, **CLOSE)
                 late = {selection.frame: selection.late_runs for selection in expected.selections}
                 assert np.flatnonzero(found.selections).tolist() == sorted(late)
                 for frame, row in enumerate(found.late_runs.tolist()):
