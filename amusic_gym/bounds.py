@@ -16,7 +16,7 @@ from amusic_gym.names import suggest
 
 FIXED_SUBSETS = ("single", "subset", "music")  # policies that run the same techniques throughout
 SINGLE_BEST, VIRTUAL_BEST = "single best", "virtual best"  # what their rows call the policy
-QUALITIES = ("auc", "auc_vprbench", "accuracy")  # columns of which more is better
+QUALITIES = ("auc", "auc_vprbench", "auc_paper", "accuracy")  # columns of which more is better
 ROUNDING = 1e-9  # of computes
 
 Row = Mapping[str, Any]

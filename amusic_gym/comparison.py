@@ -275,7 +275,7 @@ def check_weights(weights: Sequence[float]) -> tuple[float, ...]:
 # ---- table ---------------------------------------------------------------------------------
 
 
-COLUMNS = ("accuracy", "auc", "auc_vprbench", "ptr", "compute", "reselections", "lost")
+COLUMNS = ("accuracy", "auc", "auc_vprbench", "auc_paper", "ptr", "compute", "reselections", "lost")
 
 
 def table(comparison: Comparison) -> str:

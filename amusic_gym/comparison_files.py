@@ -15,7 +15,9 @@ from amusic_gym import bank_files
 from amusic_gym.bank import ScoreBank
 from amusic_gym.trace import Trace, write_whole
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+"""Of a row's file: 2 has ``similarity``. Files of another version are written again."""
+
 STALE_SECONDS = 3600.0
 
 Key = Mapping[str, Any]
@@ -65,7 +67,7 @@ def save_row(folder: Path, key: Key, trace: Trace, row: Mapping[str, Any]) -> Pa
 
 
 def load_row(folder: Path, key: Key, bank: ScoreBank) -> Trace | None:
-    """The trace of a finished row; None where there is none.
+    """The trace of a finished row; None where there is none, or one of another format.
 
     Raises:
         ValueError: when the file is damaged.
@@ -77,6 +79,8 @@ def load_row(folder: Path, key: Key, bank: ScoreBank) -> Trace | None:
         body = json.loads(path.read_bytes())
         if body.pop("checksum") != _digest(body):
             raise ValueError("its checksum differs")
+        if body["format"] != FORMAT_VERSION:
+            return None
         trace = body["trace"]
         estimates = [np.nan if value is None else value for value in trace.pop("p_correct")]
         return Trace.join(
@@ -110,6 +114,7 @@ def _plain(trace: Trace) -> dict[str, Any]:
     return {
         "predictions": trace.predictions.tolist(),
         "confidence": trace.confidence.tolist(),
+        "similarity": trace.similarity.tolist(),
         "p_correct": estimates,
         "chosen": trace.chosen.tolist(),
         "ran": trace.ran.astype(int).tolist(),

@@ -323,6 +323,8 @@ def finish(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None
     if out.routes[i].idle:
         out.routes[i].technique = -1
     relate(state, rules, i, frame)
+    chosen = out.routes[i].technique
+    out.routes[i].similarity = state.slots[i, chosen].support if chosen >= 0 else 0.0
     route.frame = frame
     if rules.block and not rules.belief:
         state.predictions[i, frame] = route.prediction

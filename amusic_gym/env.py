@@ -106,10 +106,11 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     ## Information
     The same keys and shapes at every step, zeros where a technique did not run (`ran` is the
     mask): `frame`, `route` (number of the bank), `prediction`, `confidence`, `p_correct`,
-    `margin`, `technique` (of the highest statistic, −1: none), `ran`, `place`, `statistic`,
-    `correction`, `present`, `run_seconds`, `seconds`, `fallback`, `idle`, `compute_weight`,
-    `reward_terms` and, with `reselection`, `selection` (`happened`, `tally`, `selected`,
-    `corrections` (T, M), `late_runs`). Never ground truth.
+    `similarity` (z-score of the prediction in this frame's row of the trusted technique, 0:
+    nothing ran), `margin`, `technique` (of the highest statistic, −1: none), `ran`, `place`,
+    `statistic`, `correction`, `present`, `run_seconds`, `seconds`, `fallback`, `idle`,
+    `compute_weight`, `reward_terms` and, with `reselection`, `selection` (`happened`, `tally`,
+    `selected`, `corrections` (T, M), `late_runs`). Never ground truth.
 
     ## Arguments
     See :class:`amusic_gym.task.Task`; `reset` takes the options `bank`, `start` and

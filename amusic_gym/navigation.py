@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.live import LiveRoute
-from amusic_gym.policy import Localiser, Policy, Selector
+from amusic_gym.policy import Localiser, Policy, Rows, Selector, highest_z
 from amusic_gym.settings import SICSettings
 from amusic_gym.techniques.protocol import Image
 from amusic_gym.trace import CSV_COLUMNS, csv_line
@@ -32,6 +32,8 @@ class Sighting:
         image: the query image.
         prediction: place, -1 before the first.
         confidence: higher = surer.
+        similarity: z-score of the place in this frame's row of the technique that MuSIC trusted;
+            of a localiser, the largest in the rows it asked for; 0 where nothing ran.
         p_correct: SIC-estimated correctness; None where the policy gives none.
         technique: the one that MuSIC trusted, -1: none.
         ran: (T,) bool, on the frame itself.
@@ -47,6 +49,7 @@ class Sighting:
     image: Image
     prediction: int
     confidence: float
+    similarity: float
     p_correct: float | None
     technique: int
     ran: NDArray[np.bool_]
@@ -128,6 +131,7 @@ def _told(info: dict[str, Any], techniques: int) -> dict[str, Any]:
     return {
         "prediction": int(info["prediction"][0]),
         "confidence": float(info["confidence"][0]),
+        "similarity": float(info["similarity"][0]),
         "p_correct": float(info["p_correct"][0]),
         "technique": int(info["technique"][0]),
         "ran": info["ran"][0],
@@ -146,10 +150,14 @@ def _localise(policy: Localiser, route: LiveRoute) -> Iterator[Sighting]:
         if not drive.advance(frame):
             return
         ran = np.zeros(techniques, np.bool_)
+        rows: Rows = {}
 
-        def run(technique: int, ran: NDArray[np.bool_] = ran) -> NDArray[np.float32]:
+        def run(
+            technique: int, ran: NDArray[np.bool_] = ran, rows: Rows = rows
+        ) -> NDArray[np.float32]:
             ran[technique] = True
-            return drive.run(technique, drive.frame).copy()  # its memory will hold another frame
+            rows[technique] = row = drive.run(technique, drive.frame)
+            return row.copy()  # its memory will hold another frame
 
         place, confidence = policy.locate(frame, run)
         yield _seen(
@@ -157,6 +165,7 @@ def _localise(policy: Localiser, route: LiveRoute) -> Iterator[Sighting]:
             1000.0 * (time.perf_counter() - begin),
             prediction=place,
             confidence=confidence,
+            similarity=highest_z(rows.values(), place),
             p_correct=None,
             technique=-1,
             ran=ran,
@@ -218,6 +227,7 @@ class TraceWriter:
             frame,
             prediction,
             float(sighting.confidence),
+            float(sighting.similarity),
             sighting.p_correct,
             known,
             sighting.active,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -56,6 +56,26 @@ class Selector(Protocol):
 
 Run = Callable[[int], NDArray[np.float32]]
 """Runs a technique on the current frame: index → score row (R,). Every first call is charged."""
+
+
+Rows = dict[int, NDArray[np.float32]]
+"""Index of a technique → the score row (R,) that it gave to a frame."""
+
+
+def highest_z(rows: Iterable[NDArray[np.float32]], place: int) -> float:
+    """The largest z-score that score rows (R,) give to a place: a localiser's ``similarity``.
+
+    σ is the population's, and a constant row gives 0, as everywhere (A-MuSIC, III-B). 0 without a
+    row, or where the place is none of theirs (−1).
+    """
+    found = []
+    for row in rows:
+        if not 0 <= place < row.size or row.min() == row.max():
+            found.append(0.0)
+            continue
+        wide = row.astype(np.float64)
+        found.append(float((wide[int(place)] - wide.mean()) / wide.std()))
+    return max(found, default=0.0)
 
 
 @runtime_checkable

@@ -169,6 +169,7 @@ RESULT = np.dtype(
         ("frame", np.int64),
         ("prediction", np.int64),
         ("confidence", np.float64),
+        ("similarity", np.float64),  # z-score of the place in the trusted technique's row, 0: none
         ("p_correct", np.float64),
         ("margin", np.float64),  # 0 without a rival
         ("technique", np.int64),  # trusted by MuSIC, -1: none

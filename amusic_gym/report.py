@@ -49,6 +49,7 @@ COLUMNS: dict[str, tuple[str, str, Callable[[float], str]]] = {
     "ptr": ("PTR", "technique runs, of all there could be", _number),
     "seconds_per_frame": ("s / frame", "seconds of technique runs per frame", _short),
     "auc_vprbench": ("AUC, VPR-Bench", "recall relative to the correct matches", _number),
+    "auc_paper": ("AUC, paper", "the same over similarity, as in the A-MuSIC paper", _number),
     "reselections": ("Re-selections", "selections after the first", _short),
     "idle": ("Idle", "share of frames on which nothing ran", _share),
     "lost": ("Lost", "share of frames in runs of at least 5 wrong ones", _share),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.live import LiveRoute
-from amusic_gym.policy import Localiser, Policy, Selector
+from amusic_gym.policy import Localiser, Policy, Rows, Selector, highest_z
 from amusic_gym.settings import SICSettings
 from amusic_gym.sources import Recording
 from amusic_gym.trace import Trace
@@ -21,6 +21,7 @@ Progress = Callable[[int], None]
 NAVIGATED = {
     "predictions": "prediction",
     "confidence": "confidence",
+    "similarity": "similarity",
     "p_correct": "p_correct",
     "chosen": "technique",
     "ran": "ran",
@@ -29,7 +30,7 @@ NAVIGATED = {
 }
 """Argument of `Trace.join` -> attribute of a sighting."""
 
-RECORDED = ("prediction", "confidence", "p_correct", "technique", "ran", "idle")
+RECORDED = ("prediction", "confidence", "similarity", "p_correct", "technique", "ran", "idle")
 
 
 @dataclass(frozen=True)
@@ -107,14 +108,15 @@ def _navigate(
 def _localise(policy: Localiser, bank: ScoreBank, name: str) -> Trace:
     """Let a localiser walk through a bank, charging the rows it asks for."""
     predictions = np.full(bank.queries, -1)
-    confidence = np.zeros(bank.queries)
+    confidence, similarity = np.zeros((2, bank.queries))
     ran = np.zeros((bank.queries, len(bank.techniques)), np.bool_)
     policy.reset(bank.references, len(bank.techniques))
     for frame in range(bank.queries):
+        rows: Rows = {}
 
-        def run(technique: int, frame: int = frame) -> NDArray[np.float32]:
+        def run(technique: int, frame: int = frame, rows: Rows = rows) -> NDArray[np.float32]:
             ran[frame, technique] = True
-            row = bank.row(technique, frame)
+            rows[technique] = row = bank.row(technique, frame)
             if not np.isfinite(row).all():
                 raise ValueError(
                     f"score bank {bank.name!r}: NaN or infinite score of technique"
@@ -123,9 +125,16 @@ def _localise(policy: Localiser, bank: ScoreBank, name: str) -> Trace:
                 )
             return row
 
-        predictions[frame], confidence[frame] = policy.locate(frame, run)
+        place, confidence[frame] = policy.locate(frame, run)
+        predictions[frame], similarity[frame] = place, highest_z(rows.values(), place)
     return Trace.join(
-        bank, predictions=predictions, confidence=confidence, ran=ran, policy=name, statistic="none"
+        bank,
+        predictions=predictions,
+        confidence=confidence,
+        similarity=similarity,
+        ran=ran,
+        policy=name,
+        statistic="none",
     )
 
 
@@ -183,13 +192,16 @@ class _Recorder:
         late = self._column("late_runs", i)
         ran = self._column("ran", i)
         prediction, confidence = self._column("prediction", i), self._column("confidence", i)
+        similarity = self._column("similarity", i)
         assert ran is not None
         assert prediction is not None
         assert confidence is not None
+        assert similarity is not None
         return Trace.join(
             job.bank,
             predictions=prediction,
             confidence=confidence,
+            similarity=similarity,
             p_correct=self._column("p_correct", i),
             chosen=self._column("technique", i),
             ran=ran[:, :techniques],

@@ -26,6 +26,7 @@ CSV_COLUMNS = (
     "frame",
     "prediction",
     "confidence",
+    "similarity",
     "p_correct",
     "correct",
     "techniques",
@@ -48,6 +49,7 @@ class Trace:
     seconds: NDArray[np.float64]  # (T,) declared cost of one run
     predictions: NDArray[np.int64]  # (Q,) place, -1 = none yet
     confidence: NDArray[np.float64]  # (Q,) higher = surer; the threshold of the PR curve
+    similarity: NDArray[np.float64]  # (Q,) z-score of the place in a row of the frame, 0: no run
     p_correct: NDArray[np.float64]  # (Q,) SIC-estimated correctness, nan = policy gives none
     chosen: NDArray[np.int64]  # (Q,) technique MuSIC trusted, -1 = none
     ran: NDArray[np.bool_]  # (Q, T) on the frame itself
@@ -69,6 +71,7 @@ class Trace:
         *,
         predictions: ArrayLike,
         confidence: ArrayLike,
+        similarity: ArrayLike,
         ran: ArrayLike,
         policy: str,
         statistic: str,
@@ -97,6 +100,7 @@ class Trace:
             seconds=bank.seconds,
             predictions=predicted,
             confidence=np.asarray(confidence),
+            similarity=np.asarray(similarity),
             p_correct=np.full(per_frame, np.nan) if p_correct is None else np.asarray(p_correct),
             chosen=np.full(per_frame, -1) if chosen is None else np.asarray(chosen),
             ran=np.asarray(ran),
@@ -129,7 +133,9 @@ class Trace:
     def _check_values(self) -> None:
         if not (np.isfinite(self.seconds).all() and (self.seconds > 0).all()):
             raise ValueError(f"seconds are {self.seconds}; give each technique a cost above 0")
-        _refuse(~np.isfinite(self.confidence), self.confidence, "confidence", "a finite number")
+        for name in ("confidence", "similarity"):
+            values = getattr(self, name)
+            _refuse(~np.isfinite(values), values, name, "a finite number")
         outside = (self.p_correct < 0) | (self.p_correct > 1)
         _refuse(outside, self.p_correct, "p_correct", "a value in [0, 1], or nan for none")
         bad_choice = (self.chosen < -1) | (self.chosen >= len(self.techniques))
@@ -178,6 +184,7 @@ class Trace:
                     frame,
                     int(self.predictions[frame]),
                     float(self.confidence[frame]),
+                    float(self.similarity[frame]),
                     None if np.isnan(estimate) else estimate,
                     bool(self.correct[frame]),
                     [n for n, on in zip(self.techniques, self.ran[frame], strict=True) if on],
@@ -191,6 +198,7 @@ def csv_line(
     frame: int,
     prediction: int,
     confidence: float,
+    similarity: float,
     p_correct: float | None,
     correct: bool | None,
     ran: Sequence[str],
@@ -201,6 +209,7 @@ def csv_line(
         frame,
         prediction,
         repr(confidence),
+        repr(similarity),
         "" if p_correct is None else repr(p_correct),
         "" if correct is None else int(correct),
         "+".join(ran),
@@ -231,6 +240,7 @@ def _fields(queries: int, techniques: int) -> dict[str, tuple[type[Any], tuple[i
         "seconds": (np.float64, (techniques,)),
         "predictions": (np.int64, per_frame),
         "confidence": (np.float64, per_frame),
+        "similarity": (np.float64, per_frame),
         "p_correct": (np.float64, per_frame),
         "chosen": (np.int64, per_frame),
         "ran": (np.bool_, per_run),

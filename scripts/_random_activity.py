@@ -24,7 +24,7 @@ RATES = (0.1, 0.3, 0.6, 1.0)
 BINS = 10
 """Of the calibration error and of the figure."""
 
-SEEN = ("prediction", "confidence", "p_correct", "ran", "place", "statistic")
+SEEN = ("prediction", "confidence", "similarity", "p_correct", "ran", "place", "statistic")
 RECORDED, RETIMED = "as recorded", "re-timed"
 POOLED = "pooled"
 
@@ -68,6 +68,7 @@ def _drive(bank: ScoreBank, name: str, timing: str, statistic: str, seed: int) -
         bank,
         predictions=seen["prediction"],
         confidence=seen["confidence"],
+        similarity=seen["similarity"],
         p_correct=seen["p_correct"],
         ran=seen["ran"],
         policy=policy_name,

@@ -214,6 +214,7 @@ class Route:
 
     predictions: list[int] = field(default_factory=list)
     confidences: list[float] = field(default_factory=list)
+    similarities: list[float] = field(default_factory=list)  # z-score of the place, this frame's
     chosen: list[int] = field(default_factory=list)
     ran: list[list[bool]] = field(default_factory=list)  # (Q, T) on the frame itself
     selections: list[Selection] = field(default_factory=list)
@@ -306,6 +307,7 @@ def amusic(
         corrections.append([math.nan if s is None else s.correction for s in result.sics])
         route.predictions.append(result.place)
         route.confidences.append(result.confidence)
+        route.similarities.append(z[result.technique][q][result.place])
         route.chosen.append(result.technique)
         route.ran.append(list(exists[q]))
     return route
@@ -355,6 +357,7 @@ def always(
         result = music(scores, pattern, q, candidates, past, gamma, statistic, z)
         route.predictions.append(result.place)
         route.confidences.append(result.confidence)
+        route.similarities.append(z[result.technique][q][result.place])
         route.chosen.append(result.technique)
     return route
 
@@ -367,6 +370,7 @@ def uncorrected(scores: Numbers, technique: int) -> Route:
         place = top_candidates(row, 1)[0]
         route.predictions.append(place)
         route.confidences.append(float(row[place]))
+        route.similarities.append(standardise(row)[place])
         route.chosen.append(technique)
     return route
 
@@ -378,6 +382,7 @@ def measure(route: Route, ground_truth: Numbers, seconds: Sequence[float]) -> di
         "accuracy": accuracy(correct),
         "auc": auc(correct, route.confidences, positives(ground_truth)),
         "auc_vprbench": auc_vprbench(correct, route.confidences),
+        "auc_paper": auc_vprbench(correct, route.similarities),
         "ptr": ptr(route),
         "compute": compute(route, seconds),
         "runs": sum(route.runs()),

@@ -25,6 +25,8 @@ def assert_route(infos: list[dict], expected: oracle.Route, seconds) -> None:
     assert [info["prediction"] for info in infos] == expected.predictions
     confidences = [info["confidence"] for info in infos]
     np.testing.assert_allclose(confidences, expected.confidences, **CLOSE)
+    similarities = [info["similarity"] for info in infos]
+    np.testing.assert_allclose(similarities, expected.similarities, **CLOSE)
     assert [info["technique"] for info in infos] == expected.chosen
     assert [info["ran"] for info in infos] == expected.ran
     selections = {selection.frame: selection for selection in expected.selections}
@@ -41,7 +43,8 @@ def assert_route(infos: list[dict], expected: oracle.Route, seconds) -> None:
 
 def follow(bank: ScoreBank, actions, block: int, share: float, sic) -> oracle.Route:
     """What must come of actions with a re-select bit, as explicit loops."""
-    settings = (*sic, oracle.standardise_bank(bank.scores))
+    z = oracle.standardise_bank(bank.scores)
+    settings = (*sic, z)
     width = len(bank.techniques)
     exists = [[False] * width for _ in range(bank.queries)]
     route = oracle.Route()
@@ -57,6 +60,7 @@ def follow(bank: ScoreBank, actions, block: int, share: float, sic) -> oracle.Ro
         result = oracle.music(bank.scores, exists, q, *settings)
         route.predictions.append(result.place)
         route.confidences.append(result.confidence)
+        route.similarities.append(z[result.technique][q][result.place])
         route.chosen.append(result.technique)
         route.ran.append(list(exists[q]))
     return route

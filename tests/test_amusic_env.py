@@ -47,7 +47,8 @@ def drive(policy: AMuSIC, banks: list[ScoreBank], **arguments) -> list[list[dict
 
 def route_info(info: dict, i: int, width: int) -> dict:
     """What one route's infos say, without masks and empty slots."""
-    chosen = {key: info[key][i] for key in ("prediction", "confidence", "technique", "seconds")}
+    names = ("prediction", "confidence", "similarity", "technique", "seconds")
+    chosen = {key: info[key][i] for key in names}
     selection = {k: v[i] for k, v in info["selection"].items() if not k.startswith("_")}
     assert not info["ran"][i][width:].any()
     assert not selection["late_runs"][width:].any()
@@ -131,6 +132,7 @@ def test_traces_of_several_routes_are_the_loops():
                 assert found.chosen.tolist() == expected.chosen
                 assert found.ran.tolist() == expected.ran
                 np.testing.assert_allclose(found.confidence, expected.confidences, **CLOSE)
+                np.testing.assert_allclose(found.similarity, expected.similarities, **CLOSE)
                 late = {selection.frame: selection.late_runs for selection in expected.selections}
                 assert np.flatnonzero(found.selections).tolist() == sorted(late)
                 for frame, row in enumerate(found.late_runs.tolist()):

@@ -187,6 +187,7 @@ def test_raw_is_the_best_score_of_every_row(technique, bank):
     expected = loops.uncorrected(bank.scores, technique)
     assert trace.predictions.tolist() == expected.predictions
     assert trace.confidence.tolist() == expected.confidences
+    np.testing.assert_allclose(trace.similarity, expected.similarities, rtol=1e-9)
     assert trace.ran.tolist() == expected.ran
 
 
@@ -200,6 +201,7 @@ def test_fixed_subsets_are_the_loops(spec, active, statistic, bank):
     assert trace.predictions.tolist() == expected.predictions
     assert trace.chosen.tolist() == expected.chosen
     np.testing.assert_allclose(trace.confidence, expected.confidences, rtol=1e-9)
+    np.testing.assert_allclose(trace.similarity, expected.similarities, rtol=1e-9, atol=1e-9)
     assert trace.ran.tolist() == expected.ran
 
 

@@ -14,9 +14,9 @@ from baselines import make_policy
 
 
 def row(bank, policy, auc, compute, **other):
-    zeros = ("auc_vprbench", "ptr", "seconds_per_frame", "reselections", "idle", "lost")
+    zeros = ("ptr", "seconds_per_frame", "reselections", "idle", "lost")
     return {
-        **dict.fromkeys(zeros, 0.0),
+        **dict.fromkeys((*zeros, "auc_vprbench", "auc_paper"), 0.0),
         **{"bank": bank, "policy": policy, "auc": auc, "compute": compute, "accuracy": 1 - auc},
         **{"compute_weight": None, "statistic": "evidence", "costs": "runs", "queries": 10},
         **{"median_error": None, **other},

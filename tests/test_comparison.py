@@ -45,6 +45,7 @@ ROW_KEYS = [
     "accuracy",
     "auc",
     "auc_vprbench",
+    "auc_paper",
     "ptr",
     "compute",
     "seconds_per_frame",
@@ -234,6 +235,26 @@ def test_code_digest_changes_with_names_and_contents(tmp_path):
     assert len(seen) == 4  # the text file is no code
 
 
+@pytest.mark.parametrize("version", [1, comparison_files.FORMAT_VERSION])
+def test_23_row_of_an_older_format_is_computed_again(tmp_path, said, version):
+    bank = random_bank(1, queries=20)
+    first = compare([bank], Lineup("music"), tmp_path, report=len)
+    (path,) = (tmp_path / "rows").iterdir()
+    content = path.read_bytes()
+    body = json.loads(content)
+    del body["checksum"], body["trace"]["similarity"]
+    body["format"] = version
+    body = {"checksum": comparison_files._digest(body), **body}
+    path.write_text(json.dumps(body), encoding="utf-8")
+    lineup = Lineup("music")
+    again = compare([bank], lineup, tmp_path, report=said.append)
+    assert len(lineup.runs) == 1
+    assert [line for line in said if "damaged" in line] == said[:-1]
+    assert len(said) == version  # an older one is no damage
+    assert again.rows == first.rows
+    assert path.read_bytes() == content
+
+
 @pytest.mark.parametrize("damage", ["truncated", "empty", "garbage", "flipped", "other"])
 def test_23_damaged_row_is_noticed_and_computed_again(tmp_path, said, damage):
     bank = random_bank(1, queries=20)
@@ -394,6 +415,7 @@ def estimated(correct: list[bool], p_correct: list[float], **options) -> Trace:
         bank,
         predictions=np.where(correct, np.arange(frames), -1),
         confidence=np.zeros(frames),
+        similarity=np.zeros(frames),
         ran=np.ones((frames, 1)),
         p_correct=p_correct,
         policy=options.get("policy", "ppo:run"),

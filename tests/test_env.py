@@ -207,6 +207,23 @@ def test_empty_action_runs_the_cheapest(bank):
     assert not env.step([1, 0, 0])[4]["fallback"]
 
 
+@pytest.mark.parametrize("statistic", STATISTICS)
+def test_similarity_is_what_this_frames_row_of_the_trusted_technique_says(statistic):
+    bank = random_bank(4, queries=60)
+    wide = bank.scores.astype(float)  # (T, Q, R)
+    z = (wide - wide.mean(axis=2, keepdims=True)) / wide.std(axis=2, keepdims=True)
+    env = TechniqueSelectionEnv(bank, statistic=statistic, allow_idle=True)
+    assert env.reset(seed=0, options={"start": 7})[1]["similarity"] == 0.0
+    seen = []
+    for frame, action in enumerate(np.random.default_rng(0).random((53, 3)) < 0.4):
+        info = env.step(action)[4]
+        expected = z[info["technique"], 7 + frame, info["prediction"]] if action.any() else 0.0
+        assert info["similarity"] == pytest.approx(expected, abs=1e-9)
+        seen.append(info["similarity"])
+    assert seen.count(0.0) > 3
+    assert len({round(abs(value), 6) for value in seen}) > 30
+
+
 @pytest.mark.parametrize("statistic", DIAGONAL)
 def test_idle_moves_on_and_decays(bank, statistic):
     env = TechniqueSelectionEnv(bank, statistic=statistic, allow_idle=True)

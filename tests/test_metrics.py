@@ -28,6 +28,7 @@ ROW_KEYS = [
     "accuracy",
     "auc",
     "auc_vprbench",
+    "auc_paper",
     "ptr",
     "compute",
     "seconds_per_frame",
@@ -51,6 +52,7 @@ def trace_of(correct: Any, confidence: Any, has_place: Any = None, **more: Any) 
     right = np.asarray(correct, dtype=bool)
     known = np.ones(right.size, bool) if has_place is None else np.asarray(has_place, dtype=bool)
     given_fields = {"ran": np.ones((right.size, 2), bool), "policy": "music", "statistic": "mean"}
+    given_fields["similarity"] = np.zeros(right.size)
     return Trace.join(
         bank_of(known), predictions=~right, confidence=confidence, **(given_fields | more)
     )
@@ -78,6 +80,8 @@ def test_auc_vprbench_is_scikit_learn(frames: list[tuple[bool, bool, int]]) -> N
     expected = sklearn.metrics.auc(recall, precision)
     trace = trace_of(correct, confidence)
     assert metrics.auc_vprbench(trace) == pytest.approx(expected, abs=1e-12)
+    trace = trace_of(correct, np.zeros(len(correct)), similarity=confidence)
+    assert metrics.auc_paper(trace) == pytest.approx(expected, abs=1e-12)
 
 
 @given(FRAMES.filter(lambda frames: len({c for c, _, _ in frames}) == 2))
@@ -113,6 +117,7 @@ def test_summary_by_hand() -> None:
     trace = trace_of(
         correct,
         np.arange(10.0),
+        similarity=-np.arange(10.0),
         ran=ran,
         late_runs=late_runs,
         selections=np.arange(10) % 4 == 2,
@@ -132,6 +137,10 @@ def test_summary_by_hand() -> None:
     assert row["lost"] == pytest.approx(0.5)
     assert row["auc"] == metrics.auc(trace)
     assert row["auc_vprbench"] == metrics.auc_vprbench(trace)
+    assert row["auc_paper"] == metrics.auc_paper(trace)
+    assert row["auc_paper"] == pytest.approx(  # from the front: right, five wrong, right, ...
+        1 / 3 + (2 / 7 + 1 / 6) / 6 + (3 / 10 + 2 / 9) / 6
+    )
     assert json.loads(json.dumps(row, allow_nan=False)) == row
 
 
@@ -220,11 +229,12 @@ def test_raw_techniques_on_corridor(technique: str) -> None:
         bank,
         predictions=rows.argmax(axis=1),
         confidence=rows.max(axis=1),
+        similarity=(rows.max(axis=1) - rows.mean(axis=1)) / rows.std(axis=1),
         ran=np.tile(np.array(bank.techniques) == technique, (bank.queries, 1)),
         policy=f"raw:{technique}",
         statistic="none",
     )
     row = metrics.summarise(trace)
     expected = corridor.EXPECTED[f"raw:{technique}", "mean"]
-    for name in ("accuracy", "auc", "auc_vprbench", "ptr"):
+    for name in ("accuracy", "auc", "auc_vprbench", "auc_paper", "ptr"):
         assert round(row[name], 4) == expected[name], name

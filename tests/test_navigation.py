@@ -137,6 +137,7 @@ def test_a_stream_is_driven_to_its_end(spec, knows):
         assert [s.frame for s in seen] == list(range(45))
         assert [s.prediction for s in seen] == wanted.predictions.tolist()
         assert [s.confidence for s in seen] == wanted.confidence.tolist()
+        assert [s.similarity for s in seen] == wanted.similarity.tolist()
         assert [s.technique for s in seen] == wanted.chosen.tolist()
         np.testing.assert_array_equal([s.ran for s in seen], wanted.ran)
         np.testing.assert_array_equal([s.late_runs for s in seen], wanted.late_runs)

@@ -183,6 +183,7 @@ def test_coverage_takes_the_product_as_a_real_number() -> None:
 @pytest.mark.parametrize("statistic", STATISTICS)
 def test_metrics_of_the_hand_made_bank(statistic: str) -> None:
     route = oracle.always(golden.SCORES, range(3), golden.CANDIDATES, statistic=statistic)
+    assert route.similarities == pytest.approx(golden.SIMILARITIES[statistic])
     found = oracle.measure(route, golden.GROUND_TRUTH, golden.SECONDS)
     measured = {name: found[name] for name in golden.METRICS[statistic]}
     assert measured == pytest.approx(golden.METRICS[statistic])

@@ -47,6 +47,7 @@ def made_up(policy: str, *, seed: int = 0, weight: float | None = None, bank: st
         held,
         predictions=np.where(right, np.arange(frames), 0),
         confidence=right + rng.normal(size=frames),
+        similarity=np.zeros(frames),
         p_correct=np.clip(0.7 * right + 0.3 * rng.random(frames), 0, 1),
         chosen=np.where(np.arange(frames) < 3, -1, rng.integers(0, 3, frames)),
         ran=ran,

@@ -20,6 +20,7 @@ def trace_on(ground_truth: list[int], predictions: list[int]) -> Trace:
         bank,
         predictions=predictions,
         confidence=np.arange(frames, 0.0, -1.0),
+        similarity=np.arange(frames, 0.0, -1.0),
         ran=np.ones((frames, 1), bool),
         policy="single:HOG",
         statistic="mean",
@@ -42,11 +43,11 @@ def test_promise_21_nor_does_it_ever_match_no_prediction() -> None:
 def test_promise_21_no_query_with_a_true_place_at_all() -> None:
     with pytest.warns(UserWarning, match="no correct match"):
         row = metrics.summarise(trace_on([-1, -1], [0, 1]))
-    assert (row["accuracy"], row["auc"], row["auc_vprbench"]) == (0.0, 0.0, 0.0)
+    assert (row["accuracy"], row["auc"], row["auc_vprbench"], row["auc_paper"]) == (0.0,) * 4
     assert row["median_error"] is None
 
 
-@pytest.mark.parametrize("measure", [metrics.auc, metrics.auc_vprbench])
+@pytest.mark.parametrize("measure", [metrics.auc, metrics.auc_vprbench, metrics.auc_paper])
 def test_promise_22_no_correct_match_is_auc_0_with_a_warning(measure: object) -> None:
     assert callable(measure)
     with pytest.warns(UserWarning, match="single:HOG has no correct match on bank 'street'"):
@@ -57,4 +58,4 @@ def test_promise_22_a_summary_warns_once() -> None:
     with pytest.warns(UserWarning, match="its AUC is 0") as caught:
         row = metrics.summarise(trace_on([0, 1, 2], [3, 3, -1]))
     assert len(caught) == 1
-    assert (row["auc"], row["auc_vprbench"]) == (0.0, 0.0)
+    assert (row["auc"], row["auc_vprbench"], row["auc_paper"]) == (0.0,) * 3

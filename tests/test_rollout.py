@@ -17,6 +17,7 @@ from baselines import make_policy
 ARRAYS = (
     "predictions",
     "confidence",
+    "similarity",
     "p_correct",
     "chosen",
     "ran",
@@ -108,6 +109,7 @@ def test_trace_is_what_the_single_environment_says(bank):
         _, _, terminated, _, said = env.step(action)
         assert trace.predictions[frame] == said["prediction"]
         assert trace.confidence[frame] == said["confidence"]
+        assert trace.similarity[frame] == said["similarity"]
         assert trace.p_correct[frame] == said["p_correct"]
         assert trace.chosen[frame] == said["technique"]
         assert trace.ran[frame].tolist() == said["ran"].tolist()
@@ -151,6 +153,32 @@ def test_localiser_is_charged_for_the_rows_it_asked_for(bank):
     assert trace.runs.sum() == bank.queries
     assert np.isnan(trace.p_correct).all()
     assert trace.statistic == "none"
+
+
+class Turns:
+    """A localiser that asks for no, one or all rows in turn and says the same place, or none."""
+
+    def reset(self, references, techniques):
+        self.techniques = techniques
+
+    def locate(self, frame, run):
+        for technique in (range(0), range(1, 2), range(self.techniques))[frame % 3]:
+            run(technique)
+        return (3 if frame % 5 else -1), 9.0
+
+
+def test_similarity_of_a_localiser_is_the_largest_z_score_in_the_rows_it_asked_for(bank):
+    scores = bank.scores.copy()
+    wide = scores.astype(float)
+    at_place = (wide[:, :, 3] - wide.mean(axis=2)) / wide.std(axis=2)  # (T, Q)
+    scores[1, 16], at_place[1, 16] = 0.1, 0.0  # a constant row
+    bank = ScoreBank(scores, bank.techniques, bank.seconds, tolerance=1)
+    trace = rollout(Turns(), bank, name="turns")
+    for frame, found in enumerate(trace.similarity):
+        asked = [[], [1], [0, 1, 2]][frame % 3] if frame % 5 else []
+        expected = max((at_place[t, frame] for t in asked), default=0.0)
+        assert found == pytest.approx(expected, abs=1e-12)
+    assert (trace.similarity[1::3] < 0).any()  # a row may speak against the place
 
 
 def test_protocols_tell_the_policies_apart(bank):

@@ -82,6 +82,8 @@ def test_golden_fusion(tiny_bank, statistic):
     infos = infos_of(env, np.ones((5, 3)))
     found = [[i[k] for k in ("technique", "prediction", "confidence", "margin")] for i in infos]
     np.testing.assert_allclose(found, golden.MUSIC[statistic], **CLOSE)
+    similarities = [info["similarity"] for info in infos]
+    np.testing.assert_allclose(similarities, golden.SIMILARITIES[statistic], **CLOSE)
     for t, name in enumerate(golden.TECHNIQUES):
         own = [(i["place"][t], i["statistic"][t], i["correction"][t]) for i in infos]
         np.testing.assert_allclose(own, golden.SIC[statistic][name], **CLOSE)
@@ -121,6 +123,8 @@ def test_environment_is_the_loops(seed, size, levels, chosen, activity):
         assert info["ran"].tolist() == ran[q].tolist()
         assert (info["technique"], info["prediction"]) == (expected.technique, expected.place)
         np.testing.assert_allclose(info["confidence"], expected.confidence, **CLOSE)
+        similarity = z[expected.technique][q][expected.place]
+        np.testing.assert_allclose(info["similarity"], similarity, **CLOSE)
         margin = oracle.margin(expected, bank.tolerance)
         np.testing.assert_allclose(info["margin"], margin or 0.0, **CLOSE)
         for t, sic in enumerate(expected.sics):

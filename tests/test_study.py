@@ -533,10 +533,8 @@ def made_up(aucs: dict[str, list[tuple[float, float]]], families: dict[str, str]
         costs="runs",
         needs_truth={},
     )
-    numbers = {
-        name: 0.0
-        for name in ("accuracy", "auc_vprbench", "ptr", "seconds_per_frame", "reselections")
-    }
+    shares = ("accuracy", "auc_vprbench", "auc_paper", "ptr", "seconds_per_frame", "reselections")
+    numbers = dict.fromkeys(shares, 0.0)
     numbers |= {"idle": 0.0, "median_error": None, "lost": 0.0, "queries": 9, "auroc": None}
     finished = [
         {

@@ -28,6 +28,7 @@ def small_trace(**changes: Any) -> Trace:
     given: dict[str, Any] = {
         "predictions": [-1, 1, 5, 3, 4],
         "confidence": [0.0, 0.1, 0.2, 0.3, 0.4],
+        "similarity": [0.0, 2.5, -0.5, 1 / 3, 4.0],
         "p_correct": [0.0, 0.25, 0.5, np.nan, 1.0],
         "chosen": [-1, 0, 0, 0, 1],
         "ran": [[0, 0], [1, 0], [1, 0], [1, 0], [1, 1]],
@@ -92,6 +93,8 @@ def test_a_second_selection_does_not_count_frames_of_the_first() -> None:
     [
         ({"confidence": [0.0] * 4}, r"confidence has shape \(4,\); give \(5,\)"),
         ({"confidence": [0, 1, np.nan, 3, 4]}, "confidence of frame 2 is nan"),
+        ({"similarity": [0, 1, 2, np.inf, 4]}, "similarity of frame 3 is inf"),
+        ({"similarity": [0.0] * 6}, r"similarity has shape \(6,\); give \(5,\)"),
         ({"p_correct": [0, 0, 0, 0, 1.5]}, "p_correct of frame 4 is 1.5"),
         ({"predictions": [0, 0, 0, 0, 6]}, "predicted place 6"),
         ({"predictions": [0, 0, 0, 0, 0.5]}, "predictions holds values that are no int64"),
@@ -120,6 +123,8 @@ def test_csv_has_one_exact_line_per_frame(tmp_path: Path) -> None:
     assert tuple(rows[0]) == CSV_COLUMNS
     assert [row["prediction"] for row in rows] == ["-1", "1", "5", "3", "4"]
     assert [float(row["confidence"]) for row in rows] == confidence
+    assert [float(row["similarity"]) for row in rows] == [0.0, 2.5, -0.5, 1 / 3, 4.0]
+    assert list(rows[0])[2:4] == ["confidence", "similarity"]
     assert [row["p_correct"] for row in rows] == ["0.0", "0.25", "0.5", "", "1.0"]
     assert [row["correct"] for row in rows] == ["0", "1", "0", "0", "1"]
     assert [row["techniques"] for row in rows] == ["", "HOG", "HOG", "HOG", "HOG+CALC"]
