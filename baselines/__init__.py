@@ -17,6 +17,7 @@ from baselines.hmm import hmm
 from baselines.hmpf import hmpf
 from baselines.mpf import mpf
 from baselines.oracle import oracle
+from baselines.periodic import periodic
 from baselines.plurality import plurality
 from baselines.raw import raw
 from baselines.subset import music, single, subset
@@ -32,6 +33,7 @@ POLICIES: dict[str, Factory] = {
     "music": music,
     "amusic": amusic,
     "random": uniform,
+    "periodic": periodic,
     "cascade": cascade,
     "oracle": oracle,
     "mpf": mpf,
