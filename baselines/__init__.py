@@ -23,6 +23,7 @@ from baselines.raw import raw
 from baselines.subset import music, single, subset
 from baselines.switchhit import switchhit
 from baselines.uniform import uniform
+from baselines.voi import voi
 
 Factory = Callable[[str | None, Context], Policy]
 
@@ -35,6 +36,7 @@ POLICIES: dict[str, Factory] = {
     "random": uniform,
     "periodic": periodic,
     "cascade": cascade,
+    "voi": voi,
     "oracle": oracle,
     "mpf": mpf,
     "hmpf": hmpf,
@@ -50,6 +52,10 @@ NEEDS_GROUND_TRUTH = {
     "switchhit": "of routes to learn from",
 }
 """Policies that a robot could not run without labelled frames -> which labels they need."""
+
+
+READS_COMPUTE_WEIGHT = ("voi", "voi:idle")
+"""Policies that weigh compute with the λ of their environment: comparisons run them once per λ."""
 
 
 def label(spec: str) -> str:
@@ -70,4 +76,4 @@ def make_policy(spec: str, context: Context) -> Policy:
     return POLICIES[name](argument if colon else None, context)
 
 
-__all__ = ["NEEDS_GROUND_TRUTH", "POLICIES", "label", "make_policy"]
+__all__ = ["NEEDS_GROUND_TRUTH", "POLICIES", "READS_COMPUTE_WEIGHT", "label", "make_policy"]
