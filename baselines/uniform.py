@@ -39,9 +39,9 @@ class Uniform:
 
 
 def uniform(argument: str | None, context: Context) -> Uniform:
-    """``random:P``: every technique with probability P; ``random:P/idle``: nothing if none is drawn.
+    """``random:P`` or ``random:P/idle``: every technique with probability P.
 
-    Without the word, the cheapest technique runs where none is drawn.
+    Where none is drawn the cheapest runs, or nothing with ``idle``.
     """
     text = required("random", argument, FORM)
     share, slash, word = text.partition("/")

@@ -78,7 +78,7 @@ def _add_policies(parser: Parser) -> None:
         nargs="+",
         action="extend",
         metavar="NAME",
-        help="selectors that the others must beat, besides fixed subsets, cascade and A-MuSIC "
+        help="selectors that the others must beat, besides fixed subsets and rules "
         "(default: those whose names begin with 'imitation')",
     )
     add(

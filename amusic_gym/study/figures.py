@@ -145,9 +145,10 @@ def _draw_panel(axes: Axes, rows: Sequence[Row], styles: dict[str, _Style]) -> l
     axes.set_xscale("log")
     axes.grid()
     notes = _draw_fixed(axes, [row for row in rows if row["family"] == kinds.FIXED])
-    for name in dict.fromkeys(row["policy"] for row in rows if row["family"] == kinds.LEARNED):
-        _draw_learned(axes, [row for row in rows if row["policy"] == name], styles[name])
-    others = [r for r in rows if r["family"] not in (kinds.FIXED, kinds.LEARNED)]
+    swept = dict.fromkeys(row["policy"] for row in rows if _is_swept(row))
+    for name in swept:
+        _draw_sweep(axes, [row for row in rows if row["policy"] == name], styles[name])
+    others = [r for r in rows if r["family"] != kinds.FIXED and r["policy"] not in swept]
     for row in [*others, *(row for row in rows if row["policy"] == "music")]:
         _draw_policy(axes, row, styles[row["policy"]])
     _frame(axes, rows, styles)
@@ -195,11 +196,17 @@ def _draw_fixed(axes: Axes, rows: Sequence[Row]) -> list[Note]:
     ]
 
 
-def _draw_learned(axes: Axes, rows: Sequence[Row], style: _Style) -> None:
-    """A learned selector over its λ, with the band of its interval."""
+def _is_swept(row: Row) -> bool:
+    return row["family"] == kinds.LEARNED or row["compute_weight"] is not None
+
+
+def _draw_sweep(axes: Axes, rows: Sequence[Row], style: _Style) -> None:
+    """A learned selector or a rule over its λ, with the band of its interval."""
     sweep = sorted(rows, key=lambda row: row["compute"])
     xs, ys = [row["compute"] for row in sweep], [row["auc"] for row in sweep]
-    line: dict[str, Any] = {"color": style.colour, "linewidth": 1.8, "linestyle": "-", "zorder": 4}
+    dashes = "--" if labels.is_variant(rows[0]["policy"]) else "-"
+    line: dict[str, Any] = {"color": style.colour, "linewidth": 1.8, "linestyle": dashes}
+    line["zorder"] = 4
     axes.plot(xs, ys, style.marker, markersize=5, label=style.label, **line)
     ends = [_band(row) for row in sweep]
     if all(end is not None for end in ends):
