@@ -87,7 +87,7 @@ def _add_policies(parser: Parser) -> None:
         type=float,
         default=COMPUTE_WEIGHTS,
         metavar="L",
-        help=f"λ of the selectors, at most {study.MOST_WEIGHTS} (default: %(default)s)",
+        help=f"λ of the selectors and of voi, at most {study.MOST_WEIGHTS} (default: %(default)s)",
     )
     add(
         "--statistic",
