@@ -194,7 +194,10 @@ def test_runs_on_one_technique_one_frame_one_place(spec):
         ("periodic:5/idle", "unknown technique 'idle'"),
         ("periodic:5/T1/idel", "unknown technique 'idel'"),
         ("periodic:5/T1+T1/T0", r"periodic:5/T1\+T1/T0 names a technique twice; name each once"),
-        ("periodic:5/T1/T0/T2", r"periodic:5/T1/T0/T2 is not of the form periodic:N\[/A\+B\[/C\]\]"),
+        (
+            "periodic:5/T1/T0/T2",
+            r"periodic:5/T1/T0/T2 is not of the form periodic:N\[/A\+B\[/C\]\]",
+        ),
         ("voi:", "voi:: LAMBDA is ''; give a number >= 0"),
         ("voi:-1", "voi:-1: LAMBDA is '-1'; give a number >= 0"),
         ("voi:nan/idle", "LAMBDA is 'nan'; give a number >= 0"),
