@@ -24,8 +24,11 @@ FORM = "LAMBDA, voi:idle or voi:LAMBDA/idle"
 class ValueOfInformation:
     """Runs the subset of the highest predicted p̂ − λ · compute share, searched greedily.
 
-    After greedy conditional mutual information: technique after technique joins, each time the one
-    that raises that value most, until none raises it. The first joins in any case.
+    Technique after technique joins, each time the one that raises that value most, until none
+    raises it; the first joins in any case. Greedy as DIME, which takes the feature of the highest
+    conditional mutual information per cost (Gadgil et al., 2024); the value of a subset less its
+    cost is the objective of AACO (Valancius et al., 2024), which asks nearest neighbours where this
+    rule asks running records.
 
     The predictor needs no ground truth. Each technique has a record: how probable it is that the
     technique's own place is right, as far as p̂ tells. On a frame on which it ran that is p̂ if its
