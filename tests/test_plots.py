@@ -240,8 +240,8 @@ def test_colours_are_steady_and_distinct() -> None:
         ("periodic:5/CALC/idle", "CALC every 5 frames, else idle"),
         ("voi", "value of information"),
         ("voi:idle", "value of information, may idle"),
-        ("voi:0.2", "value of information, λ 0.2"),
-        ("voi:0.2/idle", "value of information, λ 0.2, may idle"),
+        ("voi:0.2", "value of information, fixed λ 0.2"),
+        ("voi:0.2/idle", "value of information, fixed λ 0.2, may idle"),
         ("cascade", "cascade"),
         ("ppo", "selector"),
         ("ppo:out/demo/run", "selector run"),
@@ -249,6 +249,19 @@ def test_colours_are_steady_and_distinct() -> None:
 )
 def test_policies_have_names_for_readers(policy: str, name: str) -> None:
     assert labels.policy_label(policy) == name
+
+
+def test_the_legend_of_a_front_is_within_the_figure(tmp_path: Path, drawn: list[Figure]) -> None:
+    rows = some_rows()
+    long = ("voi", "voi:idle", "ppo:runs/imitation_with_a_name_that_is_long")
+    rows += [{**row, "policy": name} for name in long for row in rows[-3:]]
+    for shown in (some_rows(), rows):
+        plots.front(shown, tmp_path / "front.png")
+        (legend,) = drawn[-1].legends
+        box, page = legend.get_window_extent(), drawn[-1].bbox
+        assert page.x0 <= box.x0
+        assert box.x1 <= page.x1
+        assert page.y0 <= box.y0
 
 
 @pytest.mark.parametrize("kind", ["random:0.5", "periodic:5/HOG", "voi:0.2"])

@@ -90,9 +90,9 @@ def _periodic_label(period: str, *subsets: str) -> str:
 
 
 def _voi_label(argument: str) -> str:
-    """The argument of "voi": "0.15/idle" -> ", λ 0.15, may idle"."""
+    """The argument of "voi": "0.15/idle" -> ", fixed λ 0.15, may idle"."""
     parts = argument.split("/")
-    return "".join(", may idle" if part == "idle" else f", λ {part}" for part in parts)
+    return "".join(", may idle" if part == "idle" else f", fixed λ {part}" for part in parts)
 
 
 def is_variant(policy: str) -> bool:

@@ -160,7 +160,8 @@ def _frame(axes: Axes, rows: Sequence[Row], styles: dict[str, _Style]) -> None:
     framed = [row["auc"] for row in rows if row["family"] in FRAMED] or [r["auc"] for r in rows]
     low, high = min(framed, default=0.0), max([row["auc"] for row in rows], default=1.0)
     margin = max(0.08 * (high - low), 0.005)
-    below = sorted((r for r in rows if r["auc"] < low - margin), key=lambda row: -row["auc"])
+    points = [row for row in rows if not _is_swept(row)]  # a line shows where it goes
+    below = sorted((r for r in points if r["auc"] < low - margin), key=lambda row: -row["auc"])
     axes.set_ylim(low - margin * (3 if below else 1), high + margin)
     if below:
         words = ", ".join(f"{styles[row['policy']].label} {row['auc']:.2f}" for row in below)
