@@ -25,7 +25,7 @@ from amusic_gym.settings import SICSettings
 from amusic_gym.trace import Trace
 
 COMPUTE_WEIGHTS = (0.01, 0.05, 0.15, 0.3, 0.6, 1.0, 2.0, 6.0)
-"""The compute weights λ that a learned selector is run with where none are named."""
+"""The compute weights λ that a policy which reads λ is run with where none are named."""
 
 MOST_TECHNIQUES = 6
 """Up to so many techniques all their subsets can be compared: 63 of them."""
@@ -34,8 +34,8 @@ ROWS, TRACES, RESULTS = "rows", "traces", "results.json"
 
 MOST_CURVES = 16  # more traces than these in a figure of curves: subsets are left out
 MOST_PANELS = 8  # traces in a figure of selections
-ALWAYS_THE_SAME = (  # policies whose choice of runs is fixed
-    *("raw", "single", "subset", "music"),
+ALWAYS_THE_SAME = (  # policies whose runs are known before the route
+    *("raw", "single", "subset", "music", "periodic"),
     *("mpf", "hmpf", "dynmpf", "plurality", "borda", "hmm"),
 )
 

@@ -17,11 +17,13 @@ from baselines.hmm import hmm
 from baselines.hmpf import hmpf
 from baselines.mpf import mpf
 from baselines.oracle import oracle
+from baselines.periodic import periodic
 from baselines.plurality import plurality
 from baselines.raw import raw
 from baselines.subset import music, single, subset
 from baselines.switchhit import switchhit
 from baselines.uniform import uniform
+from baselines.voi import voi
 
 Factory = Callable[[str | None, Context], Policy]
 
@@ -32,7 +34,9 @@ POLICIES: dict[str, Factory] = {
     "music": music,
     "amusic": amusic,
     "random": uniform,
+    "periodic": periodic,
     "cascade": cascade,
+    "voi": voi,
     "oracle": oracle,
     "mpf": mpf,
     "hmpf": hmpf,
@@ -48,6 +52,10 @@ NEEDS_GROUND_TRUTH = {
     "switchhit": "of routes to learn from",
 }
 """Policies that a robot could not run without labelled frames -> which labels they need."""
+
+
+READS_COMPUTE_WEIGHT = ("voi", "voi:idle")
+"""Policies that weigh compute with the λ of their environment: comparisons run them once per λ."""
 
 
 def label(spec: str) -> str:
@@ -68,4 +76,4 @@ def make_policy(spec: str, context: Context) -> Policy:
     return POLICIES[name](argument if colon else None, context)
 
 
-__all__ = ["NEEDS_GROUND_TRUTH", "POLICIES", "label", "make_policy"]
+__all__ = ["NEEDS_GROUND_TRUTH", "POLICIES", "READS_COMPUTE_WEIGHT", "label", "make_policy"]

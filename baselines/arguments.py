@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import math
 
+from amusic_gym.policy import Context
+
+IDLE = "idle"
+"""In place of a subset: nothing runs."""
+
 
 def required(policy: str, argument: str | None, form: str) -> str:
     """The argument of a policy that needs one.
@@ -36,6 +41,18 @@ def parts(policy: str, argument: str, form: str) -> list[str]:
     if len(found) != len(form.split("/")):
         raise ValueError(f"{policy}:{argument} is not of the form {policy}:{form}; write it so")
     return found
+
+
+def columns(policy: str, argument: str, names: str, context: Context) -> list[int]:
+    """Indices of the techniques of ``A+B``, a part of ``argument`` or all of it.
+
+    Raises:
+        ValueError: for an unknown technique, or one named twice.
+    """
+    given = names.split("+")
+    if len(set(given)) < len(given):
+        raise ValueError(f"{policy}:{argument} names a technique twice; name each once")
+    return [context.index(name) for name in given]
 
 
 def whole(policy: str, argument: str, name: str, text: str, least: int, most: int) -> int:

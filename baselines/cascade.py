@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from amusic_gym.names import suggest
 from amusic_gym.policy import Context, Needs
 from baselines.arguments import number, parts, whole
+from baselines.costs import cost_ranks
 
 CHEAP = 2
 HOLD = 20
@@ -58,9 +59,7 @@ class Cascade:
         """Cheap subset, and everything while in doubt."""
         doubt = (info[self.doubt] < self.threshold) & (info["frame"] >= 0)
         self._left = np.where(doubt, self.hold, np.maximum(self._left - 1, 0))
-        seconds = np.where(info["present"], info["run_seconds"], np.inf)
-        ranks = np.argsort(np.argsort(seconds, axis=1, kind="stable"), axis=1)
-        return ((ranks < self.cheap) | (self._left > 0)[:, None]) & info["present"]
+        return ((cost_ranks(info) < self.cheap) | (self._left > 0)[:, None]) & info["present"]
 
 
 def cascade(argument: str | None, context: Context) -> Cascade:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.policy import Context, Needs
-from baselines.arguments import none, required
+from baselines.arguments import columns, none, required
 
 
 class Subset:
@@ -41,10 +41,8 @@ def single(argument: str | None, context: Context) -> Subset:
 
 def subset(argument: str | None, context: Context) -> Subset:
     """``subset:A+B``: MuSIC over some techniques."""
-    names = required("subset", argument, "A+B").split("+")
-    if len(set(names)) < len(names):
-        raise ValueError(f"subset:{argument} names a technique twice; name each once")
-    return Subset([context.index(name) for name in names])
+    text = required("subset", argument, "A+B")
+    return Subset(columns("subset", text, text, context))
 
 
 def music(argument: str | None, context: Context) -> Subset:

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.policy import Context, Needs
-from baselines.arguments import required
+from baselines.arguments import IDLE, required
+
+FORM = "P[/idle]"
 
 
 class Uniform:
@@ -18,11 +20,13 @@ class Uniform:
     Args:
         probabilities: (T,) or one number for all.
         seed: of the draws.
+        idle: whether nothing runs where nothing was drawn, instead of the cheapest technique.
     """
 
-    needs = Needs()
-
-    def __init__(self, probabilities: float | NDArray[np.float64], seed: int = 0) -> None:
+    def __init__(
+        self, probabilities: float | NDArray[np.float64], seed: int = 0, *, idle: bool = False
+    ) -> None:
+        self.needs = Needs(allow_idle=idle)
         self.probabilities = probabilities
         self._rng = np.random.default_rng(seed)
 
@@ -35,12 +39,18 @@ class Uniform:
 
 
 def uniform(argument: str | None, context: Context) -> Uniform:
-    """``random:P``: every technique with probability P."""
-    text = required("random", argument, "P")
+    """``random:P`` or ``random:P/idle``: every technique with probability P.
+
+    Where none is drawn the cheapest runs, or nothing with ``idle``.
+    """
+    text = required("random", argument, FORM)
+    share, slash, word = text.partition("/")
+    if slash and word != IDLE:
+        raise ValueError(f"random:{text} is not of the form random:{FORM}; write it so")
     try:
-        probability = float(text)
+        probability = float(share)
     except ValueError:
         probability = -1.0
     if not 0.0 <= probability <= 1.0:
-        raise ValueError(f"random:{text}: {text!r} is no probability; give a number in [0, 1]")
-    return Uniform(probability, context.seed)
+        raise ValueError(f"random:{text}: {share!r} is no probability; give a number in [0, 1]")
+    return Uniform(probability, context.seed, idle=bool(slash))

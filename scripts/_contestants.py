@@ -10,7 +10,7 @@ import baselines
 from amusic_gym.comparison import COMPUTE_WEIGHTS, Contestant
 from amusic_gym.comparison_files import code_digest, file_digest
 from amusic_gym.policy import Context, Policy
-from baselines import NEEDS_GROUND_TRUTH, make_policy
+from baselines import NEEDS_GROUND_TRUTH, READS_COMPUTE_WEIGHT, make_policy
 
 BASELINES = Path(baselines.__file__).parent
 
@@ -32,7 +32,7 @@ def contestants(
     Args:
         specs: as on the command line of compare.py.
         statistic: the one that the user insists on; a trained selector refuses another.
-        compute_weights: λ of the trained selectors.
+        compute_weights: λ of the trained selectors, and of baselines that read it.
 
     Raises:
         FileNotFoundError: for a run folder that is not there.
@@ -46,6 +46,7 @@ def _contestant(spec: str, statistic: str | None, weights: tuple[float, ...]) ->
         return Contestant(
             spec,
             partial(make_policy, spec),
+            weights if spec in READS_COMPUTE_WEIGHT else (None,),
             version=code_digest(BASELINES),
             needs_truth=NEEDS_GROUND_TRUTH.get(name, ""),
         )

@@ -21,10 +21,12 @@ FAMILIES = {
     "music": kinds.FIXED,
     "cascade": kinds.CASCADE,
     "amusic": kinds.AMUSIC,
+    "periodic": kinds.PERIODIC,
+    "voi": kinds.VOI,
     "random": kinds.RANDOM,
     "oracle": kinds.BOUND,
 }
-"""Kind of a policy → its family; others are peers, and those with λ learned."""
+"""Kind of a policy → its family; others are learned if they have λ, and else peers."""
 
 DRAWING = ("random",)
 """Policies that draw."""
@@ -66,9 +68,8 @@ class Lineup:
         plain, statistic = split_statistic(spec)
         kind = plain.partition(":")[0]
         made = self._contestant(plain, statistic or self.statistic)
-        family = FAMILIES.get(kind, kinds.PEER)
-        if made.compute_weights != (None,):
-            family = kinds.LEARNED
+        other = kinds.PEER if made.compute_weights == (None,) else kinds.LEARNED
+        family = FAMILIES.get(kind, other)
         return Entrant(
             name=spec,
             family=kinds.VARIANT if statistic else family,

@@ -1,9 +1,10 @@
 """Compare policies on score banks: a table, results.json, traces and figures.
 
-POLICY: amusic (the paper's), amusic:evidence, music, raw:NAME, single:NAME, subset:A+B, random:P,
-cascade[:CHEAP/HOLD/THRESHOLD], oracle, ppo (the selector that ships), ppo:RUN (a folder that
-train.py wrote), mpf[:R], hmpf, dynmpf[:R], plurality, borda[:DEPTH], hmm[:BETA/JUMP],
-switchhit[:TAU]. Rows that are finished in DIR already are not run again.
+POLICY: amusic (the paper's), amusic:evidence, music, raw:NAME, single:NAME, subset:A+B,
+random:P[/idle], periodic:N[/A+B[/C]] (C may be idle), cascade[:CHEAP/HOLD/THRESHOLD], voi,
+voi:idle, voi:LAMBDA[/idle], oracle, ppo (the selector that ships), ppo:RUN (a folder that train.py
+wrote), mpf[:R], hmpf, dynmpf[:R], plurality, borda[:DEPTH], hmm[:BETA/JUMP], switchhit[:TAU].
+With idle nothing may run on a frame. Rows that are finished in DIR already are not run again.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def _parser() -> Parser:
         type=float,
         default=COMPUTE_WEIGHTS,
         metavar="L",
-        help="run ppo once with each λ (default: %(default)s)",
+        help="run ppo, voi and voi:idle once with each λ (default: %(default)s)",
     )
     add(
         "--statistic",

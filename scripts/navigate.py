@@ -241,7 +241,7 @@ def _parser() -> Parser:
         type=float,
         default=COMPUTE_WEIGHT,
         metavar="L",
-        help="λ of a trained selector (default: %(default)s)",
+        help="λ of a trained selector or voi (default: %(default)s)",
     )
     add(
         "--tolerance",

@@ -78,7 +78,7 @@ def _add_policies(parser: Parser) -> None:
         nargs="+",
         action="extend",
         metavar="NAME",
-        help="selectors that the others must beat, besides fixed subsets, cascade and A-MuSIC "
+        help="selectors that the others must beat, besides fixed subsets and rules "
         "(default: those whose names begin with 'imitation')",
     )
     add(
@@ -87,7 +87,7 @@ def _add_policies(parser: Parser) -> None:
         type=float,
         default=COMPUTE_WEIGHTS,
         metavar="L",
-        help=f"λ of the selectors, at most {study.MOST_WEIGHTS} (default: %(default)s)",
+        help=f"λ of the selectors and of voi, at most {study.MOST_WEIGHTS} (default: %(default)s)",
     )
     add(
         "--statistic",

@@ -28,8 +28,10 @@ ARGUMENTS = {
     "subset": ["T0+T2", "T1"],
     "music": [None],
     "amusic": [None, "evidence", "mean", "belief"],
-    "random": ["0.4", "0", "1"],
+    "random": ["0.4", "0", "1", "0.4/idle"],
+    "periodic": ["3", "4/T1+T2", "4/T2/T0+T1", "4/T1/idle"],
     "cascade": [None, "1/5/0.4", "1/5/margin=2"],
+    "voi": [None, "idle", "0.2", "0.2/idle"],
     "oracle": [None],
     "mpf": [None, "5"],
     "hmpf": [None],
@@ -62,6 +64,10 @@ def kind(spec: str) -> str:
     return spec.partition(":")[0]
 
 
+def may_idle(spec: str) -> bool:
+    return spec.endswith("idle")
+
+
 # ---- the contract, for every line of the registry --------------------------------------------
 
 
@@ -75,15 +81,18 @@ def test_gives_a_trace_of_the_whole_route(spec, statistic, bank):
     trace = run(spec, bank, statistic)
     assert (trace.policy, trace.bank, trace.compute_weight) == (spec, bank.name, None)
     assert trace.queries == bank.queries
-    assert ((trace.predictions >= 0) & (trace.predictions < bank.references)).all()
-    assert trace.ran.any(axis=1).all()
+    began = np.logical_or.accumulate(trace.ran.any(axis=1))
+    assert ((trace.predictions >= 0) == began).all()
+    assert (trace.predictions < bank.references).all()
+    running = trace.ran.any(axis=1)
+    assert running.any() if may_idle(spec) else running.all()
     spent = trace.runs.sum(axis=0) @ bank.seconds
     row = summarise(trace)
     assert row["compute"] == pytest.approx(spent / (bank.queries * bank.seconds.sum()))
     if kind(spec) not in LOCALISERS:
         assert ((trace.p_correct >= 0) & (trace.p_correct <= 1)).all()
-        frames = np.arange(bank.queries)
-        assert trace.ran[frames, trace.chosen].all()  # MuSIC trusts what ran
+        assert trace.ran[running, trace.chosen[running]].all()  # MuSIC trusts what ran
+        assert (trace.chosen[~running] == -1).all()
 
 
 @pytest.mark.parametrize("spec", SPECS)
@@ -137,7 +146,9 @@ def test_several_routes_at_once_equal_one_at_a_time(spec):
         assert_same(trace, run(spec, bank))
 
 
-@pytest.mark.parametrize("spec", ["music", "amusic", "cascade", "random:0.5", "oracle"])
+@pytest.mark.parametrize(
+    "spec", ["music", "amusic", "cascade", "random:0.5", "oracle", "periodic:3", "voi", "voi:idle"]
+)
 def test_runs_on_one_technique_one_frame_one_place(spec):
     tiny = ScoreBank([[[1.0]]], ["only"], [2.0], tolerance=0, name="dot")
     trace = run(spec, tiny)
@@ -149,7 +160,7 @@ def test_runs_on_one_technique_one_frame_one_place(spec):
     ("spec", "sentence"),
     [
         ("amusci", r"unknown policy 'amusci': did you mean 'amusic'\? valid: raw, single, "),
-        ("", "unknown policy '': valid: raw, single, subset, music, amusic, random, cascade"),
+        ("", "unknown policy '': valid: raw, single, subset, music, amusic, random, periodic"),
         ("AMUSIC", "unknown policy 'AMUSIC': did you mean 'amusic'"),
         ("ppo", "unknown policy 'ppo': valid"),
         ("raw", "policy 'raw' needs an argument; write raw:NAME"),
@@ -171,6 +182,26 @@ def test_runs_on_one_technique_one_frame_one_place(spec):
         ("random:-0.1", "'-0.1' is no probability"),
         ("random:nan", "'nan' is no probability"),
         ("random:half", "'half' is no probability"),
+        ("random:half/idle", "'half' is no probability"),
+        ("random:0.5/idel", r"random:0.5/idel is not of the form random:P\[/idle\]; write it so"),
+        ("random:0.5/", r"random:0.5/ is not of the form random:P\[/idle\]"),
+        ("periodic", r"policy 'periodic' needs an argument; write periodic:N\[/A\+B\[/C\]\]"),
+        ("periodic:0", "periodic:0: N is '0'; give a whole number from 1 to 1000000"),
+        ("periodic:T1", "periodic:T1: N is 'T1'; give a whole number"),
+        ("periodic:2.5/T1", "N is '2.5'; give a whole number"),
+        ("periodic:5/T3", "unknown technique 'T3': did you mean 'T"),
+        ("periodic:5/", "unknown technique ''"),
+        ("periodic:5/idle", "unknown technique 'idle'"),
+        ("periodic:5/T1/idel", "unknown technique 'idel'"),
+        ("periodic:5/T1+T1/T0", r"periodic:5/T1\+T1/T0 names a technique twice; name each once"),
+        (
+            "periodic:5/T1/T0/T2",
+            r"periodic:5/T1/T0/T2 is not of the form periodic:N\[/A\+B\[/C\]\]",
+        ),
+        ("voi:", "voi:: LAMBDA is ''; give a number >= 0"),
+        ("voi:-1", "voi:-1: LAMBDA is '-1'; give a number >= 0"),
+        ("voi:nan/idle", "LAMBDA is 'nan'; give a number >= 0"),
+        ("voi:0.2/idel", "voi:0.2/idel is not of the form voi:LAMBDA, voi:idle or voi:LAMBDA/idle"),
     ],
 )
 def test_10_unknown_names_and_arguments_are_refused(spec, sentence, bank):

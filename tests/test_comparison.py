@@ -487,7 +487,7 @@ def test_figures_of_every_bank_and_of_their_mean(tmp_path):
 def test_figures_leave_out_what_there_is_not(tmp_path):
     bank = [random_bank(1, queries=20)]
     assert figure_names(tmp_path / "a", "raw:T0", banks=bank) == {"precision_recall-bank1.png"}
-    assert figure_names(tmp_path / "b", "single:T0", banks=bank) == {
+    assert figure_names(tmp_path / "b", "single:T0", "periodic:3/T2+T1/T2", banks=bank) == {
         "front-bank1.png",
         "precision_recall-bank1.png",
     }

@@ -24,8 +24,10 @@ ARGUMENTS = {
     "subset": ["HOG+CoHOG"],
     "music": [None],
     "amusic": [None, "evidence"],
-    "random": ["0.4"],
+    "random": ["0.4", "0.4/idle"],
+    "periodic": ["5", "4/HOG/idle"],
     "cascade": [None],
+    "voi": [None, "idle"],
     "mpf": [None],
     "hmpf": [None],
     "dynmpf": [None],
@@ -81,7 +83,7 @@ def test_every_policy_says_what_it_says_on_a_bank(spec):
     first, second = (ppo() if spec == "ppo" else make(spec, b) for b in (bank, live))
     wanted = rollout(first, bank, name=spec, compute_weight=0.5)
     assert_same_traces(rollout(second, live, name=spec, compute_weight=0.5), wanted)
-    if spec in ("cascade", "amusic", "random:0.4"):
+    if spec in ("cascade", "amusic", "random:0.4", "periodic:5", "voi", "voi:idle"):
         assert len(np.unique(wanted.ran, axis=0)) > 1
 
 

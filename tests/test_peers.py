@@ -31,6 +31,7 @@ SPECS = [
     *("raw:T1", "single:T0", "subset:T0+T2", "music", "amusic", "amusic:evidence", "random:0.5"),
     *("cascade", "cascade:1/5/0.4", "cascade:1/3/p=0.9", "cascade:2/5/margin=1.5", "oracle"),
     *("mpf", "mpf:3", "hmpf", "dynmpf", "dynmpf:4", "switchhit", "switchhit:0.4", "switchhit:1"),
+    *("periodic:3", "periodic:4/T1+T2/T0", "voi", "voi:0.2"),
     *("plurality", "borda", "borda:60", "hmm", "hmm:0.2/0.05"),
 ]
 ALL_ROWS = ("mpf", "hmpf", "dynmpf", "plurality", "borda", "hmm")  # run every technique, always

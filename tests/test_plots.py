@@ -233,6 +233,16 @@ def test_colours_are_steady_and_distinct() -> None:
         ("subset:HOG+CALC", "HOG+CALC"),
         ("raw:HOG", "HOG, no SIC"),
         ("random:0.5", "random, p = 0.5"),
+        ("random:0.5/idle", "random, p = 0.5, may idle"),
+        ("periodic:1", "all every frame"),
+        ("periodic:5", "all every 5 frames"),
+        ("periodic:5/HOG+CALC", "HOG+CALC every 5 frames"),
+        ("periodic:5/CALC/HOG", "CALC every 5 frames, else HOG"),
+        ("periodic:5/CALC/idle", "CALC every 5 frames, else idle"),
+        ("voi", "value of information"),
+        ("voi:idle", "value of information, may idle"),
+        ("voi:0.2", "value of information, fixed λ 0.2"),
+        ("voi:0.2/idle", "value of information, fixed λ 0.2, may idle"),
         ("cascade", "cascade"),
         ("ppo", "selector"),
         ("ppo:out/demo/run", "selector run"),
@@ -240,6 +250,28 @@ def test_colours_are_steady_and_distinct() -> None:
 )
 def test_policies_have_names_for_readers(policy: str, name: str) -> None:
     assert labels.policy_label(policy) == name
+
+
+def test_the_legend_of_a_front_is_within_the_figure(tmp_path: Path, drawn: list[Figure]) -> None:
+    rows = some_rows()
+    long = ("voi", "voi:idle", "ppo:runs/imitation_with_a_name_that_is_long")
+    rows += [{**row, "policy": name} for name in long for row in rows[-3:]]
+    for shown in (some_rows(), rows):
+        plots.front(shown, tmp_path / "front.png")
+        (legend,) = drawn[-1].legends
+        box, page = legend.get_window_extent(), drawn[-1].bbox
+        assert page.x0 <= box.x0
+        assert box.x1 <= page.x1
+        assert page.y0 <= box.y0
+
+
+@pytest.mark.parametrize("kind", ["random:0.5", "periodic:5/HOG", "voi:0.2"])
+def test_what_may_idle_is_drawn_as_a_variant(kind: str) -> None:
+    assert labels.is_variant(f"{kind}/idle")
+    assert not labels.is_variant(kind)
+    assert labels.is_variant("voi:idle")
+    assert not labels.is_variant("single:idle")
+    assert labels.policy_mark(f"{kind}/idle") == labels.policy_mark(kind) != labels.OTHER_MARK
 
 
 def test_odd_names_are_drawn_as_they_are(tmp_path: Path, drawn: list[Figure]) -> None:

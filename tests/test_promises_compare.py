@@ -151,6 +151,12 @@ def test_compare_writes_table_results_traces_and_figures(run, tmp_path, banks):
     [
         (["--policy", "amusci"], "unknown policy 'amusci': did you mean 'amusic'?"),
         (["--policy", "subset:T0+T9"], "unknown technique 'T9'"),
+        (
+            ["--policy", "periodic:5/T0/T1/T2"],
+            "is not of the form periodic:N[/A+B[/C]]; write it so",
+        ),
+        (["--policy", "voi:much"], "voi:much: LAMBDA is 'much'; give a number >= 0"),
+        (["--policy", "random:0.5/idel"], "is not of the form random:P[/idle]; write it so"),
         (["--policy", "ppo:nowhere"], "nowhere is no run folder"),
         (["--policy", "music", "--statistic", "evidance"], "did you mean 'evidence'?"),
         (["--policy", "music", "--costs", "paper"], "the paper gives no time for technique 'T0'"),

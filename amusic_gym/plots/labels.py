@@ -35,12 +35,14 @@ TECHNIQUE_COLOURS = (
     "#F0B6C0",
     "#5A3E9B",
 )
-SWEEP_COLOURS = ("#D55E00", "#7B3294", "#008837", "#A50F15")  # one per learned selector
+SWEEP_COLOURS = ("#D55E00", "#7B3294", "#008837", "#A50F15")  # one per policy with λ
 POLICY_MARKS = {  # policy -> colour and marker in figures of policies
     "amusic": ("#0072B2", "D"),
     "music": ("#000000", "s"),
     "cascade": ("#6F4E37", "^"),
     "random": ("#999999", "v"),
+    "periodic": ("#E7298A", "o"),
+    "voi": ("#005A32", "D"),
     "oracle": ("#999933", "*"),
     "mpf": ("#AA3377", "<"),
     "hmpf": ("#AA3377", ">"),
@@ -52,6 +54,7 @@ POLICY_MARKS = {  # policy -> colour and marker in figures of policies
 }
 OTHER_MARK = ("#6F4E37", "P")
 CORRECT_COLOUR, WRONG_COLOUR, NEUTRAL_COLOUR = "#9ECAE1", "#B2182B", "#BBBBBB"
+MAY_IDLE = ("random", "periodic", "voi")  # policies with a variant under which nothing may run
 FIXED = ("single", "subset")  # policies that run the same techniques on every frame
 
 
@@ -62,21 +65,41 @@ def policy_label(policy: str) -> str:
         **{"amusic": "A-MuSIC", "music": "MuSIC", "ppo": "selector"},
         **{"mpf": "MPF", "hmpf": "H-MPF-style", "dynmpf": "Dyn-MPF-style", "hmm": "Markov filter"},
         **{"switchhit": f"SwitchHit-style {MARK}", "oracle": f"oracle {MARK}", "borda": "Borda"},
+        **{"voi": "value of information"},
     }
     if kind in FIXED and argument:
         return argument
     if kind == "raw" and argument:
         return f"{argument}, no SIC"
     if kind == "random" and argument:
-        return f"random, p = {argument}"
+        return f"random, p = {argument.replace('/idle', ', may idle')}"
+    if kind == "periodic" and argument:
+        return _periodic_label(*argument.split("/"))
+    if kind == "voi" and argument:
+        return names[kind] + _voi_label(argument)
     if kind == "ppo" and argument:
         return f"selector {PurePath(argument).name}"
     return names.get(kind, kind) + (f" ({argument})" if argument else "")
 
 
+def _periodic_label(period: str, *subsets: str) -> str:
+    """The argument of "periodic": ("5", "HOG", "idle") -> "HOG every 5 frames, else idle"."""
+    often = "every frame" if period == "1" else f"every {period} frames"
+    chosen, *between = subsets or ("all",)
+    return ", else ".join([f"{chosen} {often}", *between])
+
+
+def _voi_label(argument: str) -> str:
+    """The argument of "voi": "0.15/idle" -> ", fixed λ 0.15, may idle"."""
+    parts = argument.split("/")
+    return "".join(", may idle" if part == "idle" else f", fixed λ {part}" for part in parts)
+
+
 def is_variant(policy: str) -> bool:
-    """Whether it is a variant of a policy that has a mark, such as "amusic:evidence"."""
+    """Whether it is a variant of a policy that has a mark: "amusic:evidence", "random:0.5/idle"."""
     kind, _, argument = policy.partition(":")
+    if kind in MAY_IDLE:
+        return argument.split("/")[-1] == "idle"
     return kind == "amusic" and bool(argument)
 
 

@@ -14,6 +14,8 @@ from amusic_gym.plots.drawing import GREY, Note, figure_at, only, percent, place
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+WIDTH = 7.6  # inches, also of a legend's line and, on average, of a letter beside it:
+HANDLE, LETTER = 0.6, 0.065
 MOST_LABELS = 8  # fixed subsets named in the figure
 Point = tuple[float, float, Mapping[str, Any]]  # compute, auc, the row
 
@@ -31,7 +33,7 @@ def front(rows: Sequence[Mapping[str, Any]], path: str | Path) -> Path:
     paid = [row["compute"] for row in shown if row["compute"] > 0]
     floor = min(paid, default=1.0) / 2.0
     points = [(max(row["compute"], floor), row["auc"], row) for row in shown]
-    with figure_at(path, 7.6, 5.2) as figure:
+    with figure_at(path, WIDTH, 5.2) as figure:
         axes = figure.add_subplot()
         axes.set_xscale("log")
         notes = _draw_fixed(axes, points)
@@ -44,8 +46,8 @@ def front(rows: Sequence[Mapping[str, Any]], path: str | Path) -> Path:
         axes.set_title(f"What the compute buys: {where}")
         axes.grid()
         axes.margins(y=0.1)  # room for labels above the best and below the worst
-        if axes.get_legend_handles_labels()[0]:
-            figure.legend(loc="outside lower center", ncols=3)
+        if names := axes.get_legend_handles_labels()[1]:
+            figure.legend(loc="outside lower center", ncols=_columns(names))
         place_notes(figure, axes, notes, [(x, y) for x, y, _ in points])
     return Path(path)
 
@@ -57,6 +59,12 @@ def pareto(points: Sequence[Point]) -> list[Point]:
         if not kept or point[1] > kept[-1][1]:
             kept.append(point)
     return kept
+
+
+def _columns(names: Sequence[str]) -> int:
+    """How many columns of a legend fit below the figure, 3 at most."""
+    widest = HANDLE + LETTER * max(map(len, names))
+    return min(3, max(1, int(WIDTH / widest)))
 
 
 def _is_fixed(row: Mapping[str, Any]) -> bool:

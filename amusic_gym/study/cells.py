@@ -26,11 +26,15 @@ NAMES = {RECORDED: "as recorded", RETIMED: "re-timed"}
 """The conditions in words."""
 
 FIXED, CASCADE, AMUSIC, LEARNED = "fixed", "cascade", "amusic", "learned"
+PERIODIC, VOI = "periodic", "voi"
 PEER, BOUND, RANDOM, VARIANT = "peer", "bound", "random", "variant"
-FAMILIES = (FIXED, CASCADE, AMUSIC, LEARNED, PEER, BOUND, RANDOM, VARIANT)
+FAMILIES = (FIXED, CASCADE, AMUSIC, PERIODIC, VOI, LEARNED, PEER, BOUND, RANDOM, VARIANT)
 """What an entrant is to the fronts: see :class:`Entrant`."""
 
-FRONTS = {FIXED: "fixed subsets", CASCADE: "cascade", AMUSIC: "A-MuSIC"}
+FRONTS = {
+    **{FIXED: "fixed subsets", CASCADE: "cascade", AMUSIC: "A-MuSIC"},
+    **{PERIODIC: "periodic", VOI: "value of information"},
+}
 """Families whose policies make one front together, and its name; others have one each."""
 
 Measures = dict[str, Any]
@@ -47,9 +51,10 @@ class Entrant:
 
     Attributes:
         name: in tables.
-        family: of `FAMILIES`: ``fixed`` subsets, ``cascade`` rules, ``amusic``, ``learned``
-            selectors, ``peer`` policies, a ``bound`` that no robot could run, ``random`` choice,
-            or ``variant``: a policy under another statistic, for ablations; in no front.
+        family: of `FAMILIES`: ``fixed`` subsets, ``cascade`` rules, ``amusic``, ``periodic``
+            rules, ``voi`` (value of information), ``learned`` selectors, ``peer`` policies, a
+            ``bound`` that no robot could run, ``random`` choice, or ``variant``: a policy under
+            another statistic, for ablations; in no front.
         contestants: one, or one for each seed. What makes them must pickle.
         statistic: SIC's, if it is not the study's.
         draws: whether the policy draws: then it has a cell per seed even as recorded.

@@ -145,9 +145,10 @@ def _draw_panel(axes: Axes, rows: Sequence[Row], styles: dict[str, _Style]) -> l
     axes.set_xscale("log")
     axes.grid()
     notes = _draw_fixed(axes, [row for row in rows if row["family"] == kinds.FIXED])
-    for name in dict.fromkeys(row["policy"] for row in rows if row["family"] == kinds.LEARNED):
-        _draw_learned(axes, [row for row in rows if row["policy"] == name], styles[name])
-    others = [r for r in rows if r["family"] not in (kinds.FIXED, kinds.LEARNED)]
+    swept = dict.fromkeys(row["policy"] for row in rows if _is_swept(row))
+    for name in swept:
+        _draw_sweep(axes, [row for row in rows if row["policy"] == name], styles[name])
+    others = [r for r in rows if r["family"] != kinds.FIXED and r["policy"] not in swept]
     for row in [*others, *(row for row in rows if row["policy"] == "music")]:
         _draw_policy(axes, row, styles[row["policy"]])
     _frame(axes, rows, styles)
@@ -159,7 +160,8 @@ def _frame(axes: Axes, rows: Sequence[Row], styles: dict[str, _Style]) -> None:
     framed = [row["auc"] for row in rows if row["family"] in FRAMED] or [r["auc"] for r in rows]
     low, high = min(framed, default=0.0), max([row["auc"] for row in rows], default=1.0)
     margin = max(0.08 * (high - low), 0.005)
-    below = sorted((r for r in rows if r["auc"] < low - margin), key=lambda row: -row["auc"])
+    points = [row for row in rows if not _is_swept(row)]  # a line shows where it goes
+    below = sorted((r for r in points if r["auc"] < low - margin), key=lambda row: -row["auc"])
     axes.set_ylim(low - margin * (3 if below else 1), high + margin)
     if below:
         words = ", ".join(f"{styles[row['policy']].label} {row['auc']:.2f}" for row in below)
@@ -195,11 +197,17 @@ def _draw_fixed(axes: Axes, rows: Sequence[Row]) -> list[Note]:
     ]
 
 
-def _draw_learned(axes: Axes, rows: Sequence[Row], style: _Style) -> None:
-    """A learned selector over its λ, with the band of its interval."""
+def _is_swept(row: Row) -> bool:
+    return row["family"] == kinds.LEARNED or row["compute_weight"] is not None
+
+
+def _draw_sweep(axes: Axes, rows: Sequence[Row], style: _Style) -> None:
+    """A learned selector or a rule over its λ, with the band of its interval."""
     sweep = sorted(rows, key=lambda row: row["compute"])
     xs, ys = [row["compute"] for row in sweep], [row["auc"] for row in sweep]
-    line: dict[str, Any] = {"color": style.colour, "linewidth": 1.8, "linestyle": "-", "zorder": 4}
+    dashes = "--" if labels.is_variant(rows[0]["policy"]) else "-"
+    line: dict[str, Any] = {"color": style.colour, "linewidth": 1.8, "linestyle": dashes}
+    line["zorder"] = 4
     axes.plot(xs, ys, style.marker, markersize=5, label=style.label, **line)
     ends = [_band(row) for row in sweep]
     if all(end is not None for end in ends):

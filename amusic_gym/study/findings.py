@@ -79,7 +79,7 @@ def find(plan: Plan, finished: Finished, *, rivals: Iterable[str] = ()) -> Findi
         plan: of the study.
         finished: all its cells.
         rivals: names of learned selectors that the others must beat, for example an imitation of
-            the cascade; fixed subsets, cascade and A-MuSIC are rivals anyway.
+            the cascade; the families of `kinds.FRONTS` are rivals anyway.
     """
     rivals = tuple(rivals)
     points: list[Row] = []
