@@ -84,6 +84,8 @@ class TrainingConfig:
         n_envs: routes side by side.
         threads: that step them; what is learned does not depend on it.
         statistic: SIC's statistic.
+        carry: whether places are carried on as candidates; None: as the statistic has it.
+        discount: whether MuSIC discounts alike rows; None: as the statistic has it.
         reward: name in `amusic_gym.rewards.REWARDS`; ``"ground_truth"`` learns from what is true on
             the training routes instead of from p̂, which a selector may learn to please.
         compute_weights: range from which every episode draws λ, on a logarithmic scale.
@@ -94,7 +96,7 @@ class TrainingConfig:
         batch_size: frames per gradient step, at most.
         epochs: passes over the frames of an update.
         learning_rate: at the start; falls linearly to zero.
-        discount: of later rewards, per frame.
+        reward_discount: of later rewards, per frame.
         gae_lambda: of the generalised advantage estimate.
         entropy: weight of the entropy bonus.
         evaluate_every: frames between two evaluations, each followed by a checkpoint.
@@ -114,6 +116,8 @@ class TrainingConfig:
     n_envs: int = 64
     threads: int = 1
     statistic: str = SICSettings.statistic
+    carry: bool | None = SICSettings.carry
+    discount: bool | None = SICSettings.discount
     reward: str = "estimated"
     compute_weights: tuple[float, float] = (0.01, 6.0)
     simulation: dict[str, Any] = field(default_factory=dict)
@@ -122,7 +126,7 @@ class TrainingConfig:
     batch_size: int = 1024
     epochs: int = 4
     learning_rate: float = 5e-4
-    discount: float = 0.95
+    reward_discount: float = 0.95
     gae_lambda: float = 0.9
     entropy: float = 0.01
     evaluate_every: int = 200_000
@@ -146,8 +150,17 @@ class TrainingConfig:
             raise ValueError(f"seed is {self.seed!r}; give a whole number from 0 to {HIGHEST_SEED}")
         if self.rollout < 2:
             raise ValueError("n_steps * n_envs is 1; raise one of them: an update needs 2 frames")
-        SICSettings(statistic=self.statistic)
+        self.environment()
         self.population()
+
+    def environment(self) -> dict[str, bool]:
+        """How SIC works besides its statistic: arguments of the environment, none left open.
+
+        Raises:
+            ValueError: for an unknown statistic, or what it has no use for.
+        """
+        settings = SICSettings(self.statistic, carry=self.carry, discount=self.discount)
+        return {name: bool(getattr(settings, name)) for name in ("carry", "discount")}
 
     def population(self) -> Simulation:
         """The ranges that training routes are drawn from.
@@ -202,7 +215,7 @@ def stored(
     return {
         "versions": versions(config.statistic),
         "amusic_gym": __version__,
-        "environment": {},
+        "environment": config.environment(),
         "banks": list(banks),
         "training": asdict(config),
         "best": None if best is None else best._asdict(),

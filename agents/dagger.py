@@ -68,7 +68,7 @@ class DAgger:
         self.env = make_env(config, source)
         torch.manual_seed(config.seed)
         self.network = SelectorNetwork(config.network)
-        self.student = TrainedSelector(self.network, config.statistic)
+        self.student = TrainedSelector(self.network, config.statistic, config.environment())
         self.records = Records(out, config, [], "selector", config.network)
         self.held_out = HeldOut(config.held_out, config.statistic)
         self.rounds: list[Round] = []

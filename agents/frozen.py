@@ -20,12 +20,22 @@ class Frozen:
     Args:
         use: (T,) share of frames on which the selector ran each technique.
         statistic: SIC's statistic that the selector needs.
+        carry: whether it needs carried candidates; None: as the statistic has it.
+        discount: whether it needs MuSIC's discount; None: as the statistic has it.
         seed: of the draws.
     """
 
-    def __init__(self, use: ArrayLike, statistic: str, seed: int = 0) -> None:
+    def __init__(
+        self,
+        use: ArrayLike,
+        statistic: str,
+        seed: int = 0,
+        *,
+        carry: bool | None = None,
+        discount: bool | None = None,
+    ) -> None:
         self.use = np.asarray(use, np.float64)
-        self.needs = Needs(statistic=statistic)
+        self.needs = Needs(statistic=statistic, carry=carry, discount=discount)
         self._rng = np.random.default_rng(seed)
 
     def reset(self, mask: NDArray[np.bool_]) -> None:

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 LOST_FRAMES = 5  # a run of at least so many wrong frames in a row counts as being lost
 CALIBRATION_BINS = 15
+MEAN_KEY = ("policy", "compute_weight", "statistic", "carry", "costs")
+"""Rows that are alike in these are averaged."""
+
 AVERAGED = (
     "accuracy",
     "auc",
@@ -120,6 +123,7 @@ def summarise(trace: Trace) -> dict[str, Any]:
         "policy": trace.policy,
         "compute_weight": trace.compute_weight,
         "statistic": trace.statistic,
+        "carry": trace.carry,
         "costs": trace.costs,
         "queries": trace.queries,
         "accuracy": float(trace.correct.mean()),
@@ -153,14 +157,15 @@ def reselections(trace: Trace) -> int:
 
 
 def mean_rows(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Rows averaged over banks, one per (policy, compute_weight, statistic, costs), in that order.
+    """Rows averaged over banks, one per (policy, compute_weight, statistic, carry, costs), in that
+    order.
 
     Every bank weighs the same; `queries` is their total and `bank` is "mean". A `median_error` of
     None is left out of its mean.
     """
     groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
     for row in rows:
-        key = (row["policy"], row["compute_weight"], row["statistic"], row["costs"])
+        key = tuple(row[name] for name in MEAN_KEY)
         groups.setdefault(key, []).append(row)
     means = []
     for group in groups.values():

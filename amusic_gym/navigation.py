@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.live import LiveRoute
-from amusic_gym.policy import Localiser, Policy, Rows, Selector, highest_z
+from amusic_gym.policy import Correction, Localiser, Policy, Rows, Selector, highest_z
 from amusic_gym.settings import SICSettings
 from amusic_gym.techniques.protocol import Image
 from amusic_gym.trace import CSV_COLUMNS, csv_line
@@ -71,6 +71,8 @@ def navigate(
     route: LiveRoute,
     *,
     statistic: str = SICSettings.statistic,
+    carry: bool | None = None,
+    discount: bool | None = None,
     compute_weight: float | None = None,
 ) -> Iterator[Sighting]:
     """Run a policy along a live route, one frame at a time.
@@ -82,6 +84,9 @@ def navigate(
         policy: selector or localiser.
         route: the map and where the images come from; it may be endless.
         statistic: SIC's statistic, unless the policy needs its own.
+        carry: whether places are carried on as candidates, unless the policy needs its own; None:
+            as the statistic has it.
+        discount: whether MuSIC discounts alike rows; as `carry`.
         compute_weight: λ; None for policies that have none.
 
     Raises:
@@ -89,12 +94,13 @@ def navigate(
         FileNotFoundError: for an image that is gone.
     """
     if isinstance(policy, Selector):
-        return _select(policy, route, policy.needs.statistic or statistic, compute_weight)
+        how = Correction.under(policy, statistic, carry, discount)
+        return _select(policy, route, how, compute_weight)
     return _localise(policy, route)
 
 
 def _select(
-    policy: Selector, route: LiveRoute, statistic: str, compute_weight: float | None
+    policy: Selector, route: LiveRoute, how: Correction, compute_weight: float | None
 ) -> Iterator[Sighting]:
     from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
@@ -103,10 +109,10 @@ def _select(
         1,
         route,
         slots=len(route.techniques),
-        statistic=statistic,
         reselection=needs.reselection,
         coverage=needs.coverage,
         allow_idle=needs.allow_idle,
+        **how._asdict(),
         **needs.extra,
     )
     weight = 1.0 if compute_weight is None else compute_weight

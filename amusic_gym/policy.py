@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.names import suggest
-from amusic_gym.settings import COVERAGE
+from amusic_gym.settings import COVERAGE, SICSettings
 
 if TYPE_CHECKING:
     from amusic_gym.bank import ScoreBank
@@ -22,7 +22,10 @@ class Needs:
     """Arguments of the environment that a selector was made for; None: whatever the user chose.
 
     Attributes:
-        statistic: SIC's statistic.
+        statistic: SIC's statistic. A selector that has one of its own has its `carry` and
+            `discount`, too: None then is as that statistic has it.
+        carry: whether places are carried on as candidates.
+        discount: whether MuSIC discounts alike rows.
         reselection: M of the re-select bit; None: no such bit.
         coverage: E of the re-selection.
         allow_idle: whether an empty action runs nothing.
@@ -30,6 +33,8 @@ class Needs:
     """
 
     statistic: str | None = None
+    carry: bool | None = None
+    discount: bool | None = None
     reselection: int | None = None
     coverage: float = COVERAGE
     allow_idle: bool = False
@@ -94,6 +99,47 @@ class Localiser(Protocol):
 Policy = Selector | Localiser
 
 
+class Correction(NamedTuple):
+    """How SIC and MuSIC work under a policy.
+
+    Attributes:
+        statistic: SIC's; "none" for a localiser, which does without.
+        carry: whether places are carried on as candidates.
+        discount: whether MuSIC discounts alike rows.
+    """
+
+    statistic: str
+    carry: bool
+    discount: bool
+
+    @classmethod
+    def under(
+        cls, policy: Policy, statistic: str, carry: bool | None = None, discount: bool | None = None
+    ) -> Correction:
+        """The policy's own, or what the user chose.
+
+        Args:
+            policy: the policy.
+            statistic: that the user chose.
+            carry: that the user chose; None: as the statistic has it.
+            discount: as `carry`.
+
+        Raises:
+            ValueError: for an unknown statistic, or what it has no use for.
+        """
+        if not isinstance(policy, Selector):
+            return cls("none", False, False)
+        needs = policy.needs
+        if needs.statistic is not None:
+            statistic, carry, discount = needs.statistic, None, None
+        settings = SICSettings(
+            statistic,
+            carry=carry if needs.carry is None else needs.carry,
+            discount=discount if needs.discount is None else needs.discount,
+        )
+        return cls(settings.statistic, bool(settings.carry), bool(settings.discount))
+
+
 @dataclass(frozen=True)
 class Context:
     """What a policy may be built from.
@@ -104,6 +150,8 @@ class Context:
         statistic: SIC's statistic that the user chose.
         seed: for policies that draw.
         route: the bank or live route.
+        carry: whether places are carried on as candidates; None: as the statistic has it.
+        discount: whether MuSIC discounts alike rows; None: as the statistic has it.
     """
 
     techniques: tuple[str, ...]
@@ -111,11 +159,21 @@ class Context:
     statistic: str
     seed: int
     route: ScoreBank | LiveRoute
+    carry: bool | None = None
+    discount: bool | None = None
 
     @classmethod
-    def of(cls, route: ScoreBank | LiveRoute, *, statistic: str, seed: int = 0) -> Context:
+    def of(
+        cls,
+        route: ScoreBank | LiveRoute,
+        *,
+        statistic: str,
+        seed: int = 0,
+        carry: bool | None = None,
+        discount: bool | None = None,
+    ) -> Context:
         """Context of a bank or live route."""
-        return cls(route.techniques, route.seconds, statistic, seed, route)
+        return cls(route.techniques, route.seconds, statistic, seed, route, carry, discount)
 
     @property
     def bank(self) -> ScoreBank:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.live import LiveRoute
-from amusic_gym.policy import Localiser, Policy, Rows, Selector, highest_z
+from amusic_gym.policy import Correction, Localiser, Policy, Rows, Selector, highest_z
 from amusic_gym.settings import SICSettings
 from amusic_gym.sources import Recording
 from amusic_gym.trace import Trace
@@ -47,6 +47,8 @@ def rollout(
     *,
     name: str,
     statistic: str = SICSettings.statistic,
+    carry: bool | None = None,
+    discount: bool | None = None,
     compute_weight: float | None = None,
 ) -> Trace:
     """Run a policy over a whole bank, or a live route of known length and ground truth.
@@ -56,13 +58,24 @@ def rollout(
         bank: the route.
         name: the policy's name in the trace.
         statistic: SIC's statistic, unless the policy needs its own.
+        carry: whether places are carried on as candidates, unless the policy needs its own; None:
+            as the statistic has it.
+        discount: whether MuSIC discounts alike rows; as `carry`.
         compute_weight: λ; None for policies that have none.
     """
-    return rollouts(policy, [Job(bank, compute_weight)], name=name, statistic=statistic)[0]
+    jobs = [Job(bank, compute_weight)]
+    options = {"statistic": statistic, "carry": carry, "discount": discount}
+    return rollouts(policy, jobs, name=name, **options)[0]  # type: ignore[arg-type]
 
 
 def rollouts(
-    policy: Policy, jobs: Sequence[Job], *, name: str, statistic: str = SICSettings.statistic
+    policy: Policy,
+    jobs: Sequence[Job],
+    *,
+    name: str,
+    statistic: str = SICSettings.statistic,
+    carry: bool | None = None,
+    discount: bool | None = None,
 ) -> list[Trace]:
     """Run a policy on several routes, a selector on all banks at once; live routes one by one.
 
@@ -70,38 +83,44 @@ def rollouts(
         ValueError: if a selector was made for another statistic, a score is not finite, or the
             length or ground truth of a live route is not known.
     """
+    how = Correction.under(policy, statistic, carry, discount)
     if isinstance(policy, Selector) and not any(isinstance(j.bank, LiveRoute) for j in jobs):
-        return _select(policy, jobs, name, statistic)
-    return [_one(policy, job, name, statistic) for job in jobs]
+        return _select(policy, jobs, name, how)
+    return [_one(policy, job, name, how) for job in jobs]
 
 
-def _one(policy: Policy, job: Job, name: str, statistic: str) -> Trace:
+def _one(policy: Policy, job: Job, name: str, how: Correction) -> Trace:
     """Run a policy on one route."""
     if isinstance(job.bank, LiveRoute):
-        return _navigate(policy, job.bank, job.compute_weight, name, statistic)
+        return _navigate(policy, job.bank, job.compute_weight, name, how)
     if isinstance(policy, Selector):
-        return _select(policy, [job], name, statistic)[0]
+        return _select(policy, [job], name, how)[0]
     return _localise(policy, job.bank, name)
 
 
 def _navigate(
-    policy: Policy, route: LiveRoute, compute_weight: float | None, name: str, statistic: str
+    policy: Policy, route: LiveRoute, compute_weight: float | None, name: str, how: Correction
 ) -> Trace:
     """Drive along a live route and keep everything but the images."""
     from amusic_gym.navigation import navigate
 
     columns: dict[str, list[Any]] = {key: [] for key in NAVIGATED}
-    for sighting in navigate(policy, route, statistic=statistic, compute_weight=compute_weight):
+    options = how._asdict() if isinstance(policy, Selector) else {}
+    for sighting in navigate(policy, route, compute_weight=compute_weight, **options):
         for key, attribute in NAVIGATED.items():
             columns[key].append(getattr(sighting, attribute))
     estimates = columns.pop("p_correct")
     if isinstance(policy, Selector):
-        statistic = policy.needs.statistic or statistic
         columns["p_correct"] = estimates
     else:
-        statistic, compute_weight = "none", None
+        compute_weight = None
     return Trace.join(
-        route, policy=name, statistic=statistic, compute_weight=compute_weight, **columns
+        route,
+        policy=name,
+        statistic=how.statistic,
+        carry=how.carry,
+        compute_weight=compute_weight,
+        **columns,
     )
 
 
@@ -138,19 +157,18 @@ def _localise(policy: Localiser, bank: ScoreBank, name: str) -> Trace:
     )
 
 
-def _select(policy: Selector, jobs: Sequence[Job], name: str, statistic: str) -> list[Trace]:
+def _select(policy: Selector, jobs: Sequence[Job], name: str, how: Correction) -> list[Trace]:
     from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
     needs = policy.needs
-    statistic = needs.statistic or statistic
     env = TechniqueSelectionVectorEnv(
         len(jobs),
         [job.bank for job in jobs],
         slots=max(len(job.bank.techniques) for job in jobs),
-        statistic=statistic,
         reselection=needs.reselection,
         coverage=needs.coverage,
         allow_idle=needs.allow_idle,
+        **how._asdict(),
         **needs.extra,
     )
     weights = np.array([1.0 if j.compute_weight is None else j.compute_weight for j in jobs])
@@ -161,7 +179,7 @@ def _select(policy: Selector, jobs: Sequence[Job], name: str, statistic: str) ->
     for frame in range(max(job.bank.queries or 0 for job in jobs)):
         observation, _, _, _, info = env.step(policy.act(observation, info))
         recorder.record(frame, info)
-    return recorder.traces(name, statistic)
+    return recorder.traces(name, how)
 
 
 class _Recorder:
@@ -183,10 +201,10 @@ class _Recorder:
             return None
         return np.stack([frame[key][i] for frame in self.frames[: self.jobs[i].bank.queries]])
 
-    def traces(self, name: str, statistic: str) -> list[Trace]:
-        return [self._trace(i, name, statistic) for i in range(len(self.jobs))]
+    def traces(self, name: str, how: Correction) -> list[Trace]:
+        return [self._trace(i, name, how) for i in range(len(self.jobs))]
 
-    def _trace(self, i: int, name: str, statistic: str) -> Trace:
+    def _trace(self, i: int, name: str, how: Correction) -> Trace:
         job = self.jobs[i]
         techniques = len(job.bank.techniques)
         late = self._column("late_runs", i)
@@ -208,6 +226,7 @@ class _Recorder:
             late_runs=None if late is None else late[:, :techniques],
             selections=self._column("happened", i),
             policy=name,
-            statistic=statistic,
+            statistic=how.statistic,
+            carry=how.carry,
             compute_weight=job.compute_weight,
         )

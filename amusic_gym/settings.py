@@ -21,6 +21,18 @@ COMPUTE_WEIGHT_RANGE = (0.01, 10.0)
 """Range of the compute weight that the observation resolves, on a logarithmic scale."""
 
 
+def carries(statistic: str) -> bool:
+    """Whether a statistic comes with carried candidates, and the discount, unless told."""
+    return statistic == "evidence"
+
+
+def statistic_label(statistic: str, carry: bool) -> str:
+    """The statistic in tables: with a mark where it does not carry as it does by default."""
+    if carry == carries(statistic):
+        return statistic
+    return f"{statistic}, {'carry' if carry else 'no carry'}"
+
+
 @dataclass(frozen=True)
 class SICSettings:
     """How SIC corrects a technique (A-MuSIC, III-A and IV-C).
@@ -59,7 +71,7 @@ class SICSettings:
         for name in ("carry", "discount"):
             given = getattr(self, name)
             if given is None:
-                given = self.statistic == "evidence"
+                given = carries(self.statistic)
             if flag(name, given) and self.statistic == "belief":
                 raise ValueError(f"{name} is True, but 'belief' has no candidates; leave it out")
             object.__setattr__(self, name, given)

@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from amusic_gym.settings import carries
+
 if TYPE_CHECKING:
     from amusic_gym.sources import Recording
 
@@ -62,6 +64,7 @@ class Trace:
     policy: str
     compute_weight: float | None
     statistic: str
+    carry: bool  # whether places were carried on as candidates
     costs: str  # name of the cost model behind `seconds`
 
     @classmethod
@@ -80,10 +83,12 @@ class Trace:
         late_runs: ArrayLike | None = None,
         selections: ArrayLike | None = None,
         compute_weight: float | None = None,
+        carry: bool | None = None,
     ) -> Trace:
         """What a policy did on the whole of `bank`, with correctness and costs from the bank.
 
-        Left out: `p_correct` is nan, `chosen` -1, `late_runs` 0 and `selections` False throughout.
+        Left out: `p_correct` is nan, `chosen` -1, `late_runs` 0 and `selections` False throughout,
+        `carry` as the statistic has it.
 
         Raises:
             ValueError: for a live route whose length or ground truth is not known.
@@ -113,6 +118,7 @@ class Trace:
             policy=policy,
             compute_weight=compute_weight,
             statistic=statistic,
+            carry=carries(statistic) if carry is None else carry,
             costs=bank.costs,
         )
 

@@ -21,7 +21,7 @@ def make_env(
     """The environment to learn in, and one thread for PyTorch.
 
     Args:
-        config: how many routes, which statistic, which λ.
+        config: how many routes, how SIC works, which λ.
         source: the routes.
         kind: the environment's class.
         reselection: M of the re-select bit; None: no such bit.
@@ -32,6 +32,7 @@ def make_env(
         source,
         slots=source.slots,
         statistic=config.statistic,
+        **config.environment(),
         reward=config.reward,
         compute_weight=config.compute_weights,
         threads=config.threads,
@@ -47,7 +48,7 @@ def ppo_arguments(config: TrainingConfig) -> dict[str, Any]:
         "batch_size": config.batch,
         "n_epochs": config.epochs,
         "learning_rate": lambda left: config.learning_rate * left,
-        "gamma": config.discount,
+        "gamma": config.reward_discount,
         "gae_lambda": config.gae_lambda,
         "ent_coef": config.entropy,
         "seed": config.seed,

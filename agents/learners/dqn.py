@@ -56,7 +56,7 @@ def make_model(config: TrainingConfig, source: RouteSource) -> DQN:
         buffer_size=BUFFER,
         learning_starts=min(RANDOM_FRAMES, config.timesteps // 10),
         batch_size=config.batch_size,
-        gamma=config.discount,
+        gamma=config.reward_discount,
         train_freq=(STEPS_BETWEEN, "step"),
         gradient_steps=max(1, round(config.epochs * frames / config.batch_size)),
         target_update_interval=max(TARGET_EVERY, config.n_envs),

@@ -35,7 +35,13 @@ class NetworkSelector(ABC, Generic[Network]):
     ) -> None:
         self.network = network
         extra = dict(environment or {})
-        self.needs = Needs(statistic=statistic, reselection=reselection, extra=extra)
+        self.needs = Needs(
+            statistic=statistic,
+            carry=extra.pop("carry", None),
+            discount=extra.pop("discount", None),
+            reselection=reselection,
+            extra=extra,
+        )
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
         """Nothing to forget: what it knows is in the observation and the infos."""
