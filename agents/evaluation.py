@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,20 +41,23 @@ class HeldOut:
     Args:
         routes: how many.
         statistic: SIC's statistic.
+        environment: how SIC works besides, for selectors that do not bring their own.
     """
 
-    def __init__(self, routes: int, statistic: str) -> None:
+    def __init__(
+        self, routes: int, statistic: str, environment: Mapping[str, bool] | None = None
+    ) -> None:
         source = SimulatedRoutes(
             population(statistic), pool=routes, seed=HELD_OUT_SEED, keep=routes
         )
         rng = np.random.default_rng(0)
         banks = [source.sample(rng, i)[0] for i in range(routes)]
         self.jobs = [Job(bank, weight) for bank in banks for weight in COMPUTE_WEIGHTS]
-        self.statistic = statistic
+        self.options: dict[str, Any] = {"statistic": statistic, **(environment or {})}
 
     def evaluate(self, selector: Selector, timesteps: int) -> Evaluation:
         """Run the selector on every route at every compute weight."""
-        traces = rollouts(selector, self.jobs, name="selector", statistic=self.statistic)
+        traces = rollouts(selector, self.jobs, name="selector", **self.options)
         accuracy = np.array([trace.correct.mean() for trace in traces])
         cost = np.array([compute(trace) for trace in traces])
         weights = np.array([job.compute_weight for job in self.jobs], np.float64)

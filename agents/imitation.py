@@ -16,7 +16,7 @@ from agents.dagger import DAgger
 from agents.run_folder import CHECKPOINT
 from agents.selector import load_selector
 from agents.training import bank_folders, refuse_used, train, training_source
-from amusic_gym.policy import Needs, Selector
+from amusic_gym.policy import Correction, Needs, Selector
 from amusic_gym.sources import BankLike, RouteSource
 
 IMITATION = "imitation"
@@ -106,7 +106,7 @@ def imitate_then_train(
 
 def _check_teacher(teacher: Selector, config: TrainingConfig) -> None:
     needs = teacher.needs
-    if needs != Needs(statistic=needs.statistic):
+    if needs != Needs(statistic=needs.statistic, carry=needs.carry, discount=needs.discount):
         raise ValueError(
             "the teacher needs more of the environment than a statistic (the re-select bit, idling"
             " or other arguments), which the network cannot learn; give one that does not"
@@ -116,3 +116,9 @@ def _check_teacher(teacher: Selector, config: TrainingConfig) -> None:
             f"the teacher needs the statistic {needs.statistic!r}, the training uses"
             f" {config.statistic!r}; give the same"
         )
+    own = Correction.under(teacher, config.statistic, config.carry, config.discount)._asdict()
+    for name, value in config.environment().items():
+        if own[name] != value:
+            raise ValueError(
+                f"the teacher needs {name} {own[name]}, the training uses {value}; give the same"
+            )

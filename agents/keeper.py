@@ -60,7 +60,9 @@ class Records:
 
     def policy(self, network: nn.Module) -> Selector:
         """The policy around a network."""
-        return kind_of(self.kind).selector(network, self.config.statistic, self.config.environment())
+        return kind_of(self.kind).selector(
+            network, self.config.statistic, self.config.environment()
+        )
 
     def add(self, result: Evaluation, network: nn.Module) -> None:
         """Note an evaluation; keep the network if it is the best."""

@@ -14,7 +14,9 @@ from agents.learners import Kind
 from agents.learners.driver import NetworkSelector
 from agents.network import NetworkConfig, SelectorNetwork
 from agents.run_folder import read_config, read_selector
+from agents.shipped import shipped
 from amusic_gym.policy import Selector
+from amusic_gym.settings import SICSettings
 
 
 class TrainedSelector(NetworkSelector[SelectorNetwork]):
@@ -27,17 +29,28 @@ class TrainedSelector(NetworkSelector[SelectorNetwork]):
         return logits.numpy() > 0.0
 
 
-def load_selector(run: str | Path) -> Selector:
-    """Load the selector of a run folder, of whatever algorithm.
+def load_selector(run: str | Path | None = None, *, statistic: str | None = None) -> Selector:
+    """Load the selector of a run folder, of whatever algorithm, or the one that ships.
+
+    Args:
+        run: the run folder; None: the selector that ships for the statistic.
+        statistic: which the selector must be of; None: any, and of those that ship the default's.
 
     Raises:
         FileNotFoundError: if the folder or its weights are not there.
-        ValueError: if it was trained with another version, or is damaged.
+        ValueError: if it was trained with another version or statistic, is damaged, or none ships
+            for the statistic.
     """
-    run = Path(run)
+    run = shipped(statistic or SICSettings.statistic) if run is None else Path(run)
     config = read_config(run)
+    own = config["versions"]["statistic"]
+    if statistic not in (None, own):
+        raise ValueError(
+            f"{run} was trained with the statistic {own!r}, not {statistic!r}; give another run, or"
+            " leave out the statistic"
+        )
     kind, network = read_selector(run)
-    return kind.selector(network, config["versions"]["statistic"], config["environment"])
+    return kind.selector(network, own, config["environment"])
 
 
 def learned_from_truth(run: str | Path) -> bool:

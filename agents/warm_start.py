@@ -16,6 +16,7 @@ from agents.learners.sets import PRESENT
 from agents.network import WIDTH, SelectorNetwork
 from agents.run_folder import SELECTOR, check_layers, read_config, read_selector
 from amusic_gym.observation import observation_size
+from amusic_gym.settings import SICSettings
 
 Start = SelectorNetwork | str | Path
 """Where a warm start's weights come from: a network, or a run folder."""
@@ -30,7 +31,8 @@ def starting_network(start: Start, config: TrainingConfig) -> SelectorNetwork:
 
     Raises:
         FileNotFoundError: if there is no such run.
-        ValueError: for a run of another statistic, or an algorithm with another network.
+        ValueError: for a run of another statistic, carry or discount, or an algorithm with
+            another network.
     """
     if (kind := learner(config.algorithm).kind) != "selector":
         raise ValueError(
@@ -40,12 +42,20 @@ def starting_network(start: Start, config: TrainingConfig) -> SelectorNetwork:
     if isinstance(start, SelectorNetwork):
         return start
     run = Path(start)
-    own = read_config(run)["versions"]["statistic"]
+    stored_config = read_config(run)
+    own = stored_config["versions"]["statistic"]
     if own != config.statistic:
         raise ValueError(
             f"{run} was trained with the statistic {own!r}, this training uses"
             f" {config.statistic!r}; give a run of the same"
         )
+    for name, value in config.environment().items():
+        had = stored_config["environment"].get(name, getattr(SICSettings(own), name))
+        if had != value:
+            raise ValueError(
+                f"{run} was trained with {name} {had}, this training uses {value}; give a run of"
+                " the same"
+            )
     stored, found = read_selector(run)
     if not isinstance(found, SelectorNetwork):
         raise ValueError(

@@ -93,8 +93,8 @@ def _fixed(rows: Sequence[Row]) -> list[Row]:
     fixed = [row for row in rows if is_fixed(row["policy"])]
     if not fixed:
         raise ValueError("no row of a fixed subset; compare some, for example with --all-subsets")
-    for column in ("statistic", "costs"):
-        found = list(dict.fromkeys(row[column] for row in fixed))
+    for column in ("statistic", "carry", "costs"):
+        found = list(dict.fromkeys(str(row[column]) for row in fixed))
         if len(found) > 1:
             raise ValueError(
                 f"the rows of fixed subsets have several {column}: {', '.join(found)}; give those "

@@ -7,7 +7,7 @@ it was. Which policies there are is the caller's to say: this package knows none
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
@@ -18,10 +18,10 @@ from amusic_gym.audit import Audit, audit, parting
 from amusic_gym.bank import ScoreBank
 from amusic_gym.checks import whole
 from amusic_gym.marks import footnote, marked
-from amusic_gym.policy import Context, Policy, Selector
+from amusic_gym.policy import Context, Correction, Policy
 from amusic_gym.report import ReportFigure
 from amusic_gym.rollout import rollout
-from amusic_gym.settings import SICSettings
+from amusic_gym.settings import SICSettings, statistic_label
 from amusic_gym.trace import Trace
 
 COMPUTE_WEIGHTS = (0.01, 0.05, 0.15, 0.3, 0.6, 1.0, 2.0, 6.0)
@@ -68,7 +68,8 @@ class Comparison:
     Attributes:
         traces: in the order of the banks, then of the policies.
         rows: of ``results.json``, in the same order.
-        mean: the rows averaged over banks, of those (policy, λ, statistic) that every bank has.
+        mean: the rows averaged over banks, of those (policy, λ, statistic, carry) that every
+            bank has.
         needs_truth: name of a policy → of what it needs ground truth.
     """
 
@@ -93,6 +94,8 @@ class _Entry:
             self.context.bank,
             name=self.contestant.name,
             statistic=self.context.statistic,
+            carry=self.context.carry,
+            discount=self.context.discount,
             compute_weight=self.compute_weight,
         )
 
@@ -103,6 +106,8 @@ def compare(
     out: str | Path,
     *,
     statistic: str = SICSettings.statistic,
+    carry: bool | None = None,
+    discount: bool | None = None,
     seed: int = 0,
     report: Report = print,
 ) -> Comparison:
@@ -116,6 +121,8 @@ def compare(
         contestants: the policies for a bank.
         out: the folder; made if it is not there.
         statistic: SIC's, for every policy that does not bring its own.
+        carry: whether places are carried on as candidates, likewise; None: as the statistic has it.
+        discount: whether MuSIC discounts alike rows, likewise; None: as the statistic has it.
         seed: for policies that draw.
         report: is given one line per finished row.
 
@@ -125,11 +132,12 @@ def compare(
     """
     check_banks(banks)
     whole("seed", seed, 0)
+    chosen = {"statistic": statistic, "carry": carry, "discount": discount}
     names = distinct([bank.name or "bank" for bank in banks], taken=("mean",))
     entries = [
         entry
         for bank, name in zip(banks, names, strict=True)
-        for entry in _entries(_renamed(bank, name), contestants, statistic, seed)
+        for entry in _entries(_renamed(bank, name), contestants, chosen, seed)
     ]
     if not entries:
         raise ValueError("no policy to compare; give at least one")
@@ -168,17 +176,17 @@ def check_banks(banks: Sequence[ScoreBank]) -> None:
 def _entries(
     bank: ScoreBank,
     contestants: Callable[[ScoreBank], Sequence[Contestant]],
-    statistic: str,
+    chosen: Mapping[str, Any],
     seed: int,
 ) -> list[_Entry]:
     """The rows of one bank; builds each policy once to see that it can be built."""
-    context = Context.of(bank, statistic=statistic, seed=seed)
+    context = Context.of(bank, seed=seed, **chosen)
     identity = comparison_files.bank_identity(bank)
     code = comparison_files.code_digest(Path(__file__).parent)
     entries = []
     for contestant in dict.fromkeys(contestants(bank)):
         policy = contestant.make(context)
-        own = (policy.needs.statistic or statistic) if isinstance(policy, Selector) else "none"
+        own = Correction.under(policy, **chosen)
         for weight in dict.fromkeys(contestant.compute_weights):
             key = {
                 "bank": bank.name,
@@ -186,7 +194,7 @@ def _entries(
                 "policy": contestant.name,
                 "policy_version": contestant.version,
                 "compute_weight": weight,
-                "statistic": own,
+                **own._asdict(),
                 "costs": bank.costs,
                 "seed": seed,
                 "package_version": __version__,
@@ -321,7 +329,8 @@ def _block(title: str, rows: Sequence[dict[str, Any]], needs_truth: dict[str, st
 def _cells(row: dict[str, Any], needs_truth: dict[str, str]) -> list[str]:
     weight = "" if row["compute_weight"] is None else f"{row['compute_weight']:g}"
     values = [f"{row[n]:g}" if n == "reselections" else f"{row[n]:.4f}" for n in COLUMNS]
-    return [marked(row["policy"], needs_truth), weight, row["statistic"], *values]
+    statistic = statistic_label(row["statistic"], row["carry"])
+    return [marked(row["policy"], needs_truth), weight, statistic, *values]
 
 
 def _line(row: dict[str, Any]) -> str:
@@ -333,7 +342,7 @@ def _line(row: dict[str, Any]) -> str:
 
 def _shared(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """The rows whose like every bank has: a mean over other banks could not be compared."""
-    keys = [(row["policy"], row["compute_weight"], row["statistic"]) for row in rows]
+    keys = [tuple(row[name] for name in metrics.MEAN_KEY) for row in rows]
     banks = len({row["bank"] for row in rows})
     return [row for row, key in zip(rows, keys, strict=True) if keys.count(key) == banks]
 

@@ -15,8 +15,8 @@ from amusic_gym import bank_files
 from amusic_gym.bank import ScoreBank
 from amusic_gym.trace import Trace, write_whole
 
-FORMAT_VERSION = 2
-"""Of a row's file: 2 has ``similarity``. Files of another version are written again."""
+FORMAT_VERSION = 3
+"""Of a row's file: 2 has ``similarity``, 3 ``carry``. Others are written again."""
 
 STALE_SECONDS = 3600.0
 
@@ -88,6 +88,7 @@ def load_row(folder: Path, key: Key, bank: ScoreBank) -> Trace | None:
             p_correct=estimates,
             policy=key["policy"],
             statistic=key["statistic"],
+            carry=key["carry"],
             compute_weight=key["compute_weight"],
             **trace,
         )

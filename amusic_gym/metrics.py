@@ -157,8 +157,7 @@ def reselections(trace: Trace) -> int:
 
 
 def mean_rows(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Rows averaged over banks, one per (policy, compute_weight, statistic, carry, costs), in that
-    order.
+    """Rows averaged over banks, one for each value of `MEAN_KEY`, in the order of the first.
 
     Every bank weighs the same; `queries` is their total and `bank` is "mean". A `median_error` of
     None is left out of its mean.

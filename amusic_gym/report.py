@@ -15,6 +15,7 @@ from typing import Any
 
 from amusic_gym.marks import MARK
 from amusic_gym.plots import labels
+from amusic_gym.settings import statistic_label
 from amusic_gym.trace import write_whole
 
 PICTURES = {b"\x89PNG\r\n": "png", b"\xff\xd8\xff": "jpeg"}
@@ -123,7 +124,7 @@ def _row(row: Mapping[str, Any], best: float) -> str:
     return (
         f'<tr{kind}><th scope="row">{escape(labels.policy_label(row["policy"]))}</th>'
         f"<td>{'' if weight is None else _short(weight)}</td>"
-        f"<td>{escape(row['statistic'])}</td>{cells}</tr>"
+        f"<td>{escape(statistic_label(row['statistic'], row['carry']))}</td>{cells}</tr>"
     )
 
 

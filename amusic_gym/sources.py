@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import OrderedDict
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
@@ -13,9 +14,13 @@ from numpy.typing import NDArray
 from amusic_gym.bank import COST_MODELS, ScoreBank
 from amusic_gym.live import LiveRoute
 from amusic_gym.names import suggest
+from amusic_gym.settings import SICSettings
 
 if TYPE_CHECKING:
     from amusic_gym.routes.simulate import Simulation
+
+TECHNIQUES = 4
+"""Of every simulated route of an environment without a bank."""
 
 Recording = ScoreBank | LiveRoute
 """What a route is driven on: scores that are there, or that are computed when asked for."""
@@ -131,7 +136,9 @@ class SimulatedRoutes:
     """Endless simulated routes, or a pool of them that is drawn from again and again.
 
     Args:
-        simulation: what is drawn; None: the defaults.
+        simulation: what is drawn; None: what an environment without a bank drives on, the routes
+            of the default statistic's :func:`~amusic_gym.routes.simulate.population` with
+            `TECHNIQUES` techniques each.
         pool: how many different routes; None: every episode's is new.
         seed: routes of another seed are other routes: training and held-out ones, for example.
         keep: how many routes are held in memory.
@@ -145,11 +152,9 @@ class SimulatedRoutes:
         seed: int = 0,
         keep: int = 256,
     ) -> None:
-        from amusic_gym.routes.simulate import Simulation as Default
-
         if pool is not None and pool < 1:
             raise ValueError(f"pool is {pool}; give None for endless routes, or at least 1")
-        self.simulation = simulation or Default()
+        self.simulation = simulation or ordinary(SICSettings.statistic)
         self.pool = pool
         self.seed = seed
         self._keep = keep
@@ -189,10 +194,27 @@ class SimulatedRoutes:
         return {**self.__dict__, "_routes": OrderedDict()}
 
 
+def ordinary(statistic: str) -> Simulation:
+    """What an environment without a bank drives on: the statistic's routes, all of one size."""
+    from amusic_gym.routes.simulate import population
+
+    return replace(population(statistic), techniques=(TECHNIQUES, TECHNIQUES))
+
+
 def as_source(
-    bank: BankLike | Sequence[BankLike] | RouteSource | None, *, costs: str, aligned: bool
+    bank: BankLike | Sequence[BankLike] | RouteSource | None,
+    *,
+    costs: str,
+    aligned: bool,
+    statistic: str = SICSettings.statistic,
 ) -> RouteSource:
     """Turn what a user may give as ``bank`` into a source of routes.
+
+    Args:
+        bank: what the user gave.
+        costs: cost model of given banks.
+        aligned: whether all banks must hold the same techniques.
+        statistic: SIC's, which decides what simulated routes are like.
 
     Raises:
         ValueError: for anything else, or a cost model that would have no effect.
@@ -207,4 +229,4 @@ def as_source(
         raise ValueError(f"bank is {bank!r}; give a folder, a ScoreBank, a list of these, or None")
     if costs != "measured":
         raise ValueError(f"costs is {costs!r}, but simulated routes have their own; leave it out")
-    return SimulatedRoutes() if bank is None else bank
+    return SimulatedRoutes(ordinary(statistic)) if bank is None else bank

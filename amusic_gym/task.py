@@ -45,7 +45,8 @@ class Task:
     Args:
         num_routes: N.
         bank: folder, :class:`~amusic_gym.bank.ScoreBank`, :class:`~amusic_gym.live.LiveRoute`,
-            list of these, a :class:`~amusic_gym.sources.RouteSource`, or None for simulated routes.
+            list of these, a :class:`~amusic_gym.sources.RouteSource`, or None for simulated routes
+            such as the statistic is made for.
         statistic: ``"belief"``, or SIC's ``"evidence"`` or ``"mean"`` (:mod:`amusic_gym.settings`).
         candidates: K.
         history: F.
@@ -101,7 +102,9 @@ class Task:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(suggest("render mode", render_mode, RENDER_MODES))
         self.settings = SICSettings(statistic, candidates, history, gamma, carry, discount)
-        self.source = as_source(bank, costs=costs, aligned=slots is None)
+        self.source = as_source(
+            bank, costs=costs, aligned=slots is None, statistic=self.settings.statistic
+        )
         self.slots = self._count("slots", slots, least=self.source.slots) or self.source.slots
         self.episode_length = self._count("episode_length", episode_length, least=1)
         block = self._count("reselection", reselection, least=1) or 0

@@ -115,7 +115,10 @@ class AMuSIC:
 
 
 def amusic(argument: str | None, context: Context) -> AMuSIC:
-    """``amusic``: the paper's; ``amusic:evidence``: the same rule on the other statistic."""
+    """``amusic``: the paper's; ``amusic:STATISTIC``: the same rule on another statistic.
+
+    With ``amusic:evidence`` places are carried on and alike rows discounted, as there by default.
+    """
     if argument is None:
         return AMuSIC()
     if argument not in STATISTICS:

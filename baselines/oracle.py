@@ -23,13 +23,15 @@ class Oracle:
 
     Args:
         bank: scores and ground truth of the route.
-        settings: SIC's statistic, K, F and γ.
+        settings: of SIC and MuSIC.
     """
 
     def __init__(self, bank: ScoreBank, settings: SICSettings) -> None:
         self.bank = bank
         self.settings = settings
-        self.needs = Needs(statistic=settings.statistic)
+        self.needs = Needs(
+            statistic=settings.statistic, carry=settings.carry, discount=settings.discount
+        )
         self._order = np.argsort(bank.seconds, kind="stable").tolist()
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
@@ -83,16 +85,18 @@ class _Diagonals:
 
         self.bank = bank
         self.sics = [SIC(bank.references, settings) for _ in bank.techniques]
+        self.fused = -1  # the last match, moved on
 
     def place(self, technique: int, frame: int) -> int:
-        return self.sics[technique].preview(self.bank.row(technique, frame)).place
+        return self.sics[technique].preview(self.bank.row(technique, frame), self.fused).place
 
     def take(self, technique: int, frame: int) -> None:
         for other, sic in enumerate(self.sics):
             if other == technique:
-                sic.correct(self.bank.row(technique, frame))
+                place = sic.correct(self.bank.row(technique, frame), self.fused).place
             else:
                 sic.skip()
+        self.fused = place + 1 if place + 1 < self.bank.references else -1
 
 
 class _Belief:
@@ -122,4 +126,5 @@ class _Belief:
 def oracle(argument: str | None, context: Context) -> Oracle:
     """``oracle``."""
     none("oracle", argument)
-    return Oracle(context.bank, SICSettings(statistic=context.statistic))
+    settings = SICSettings(context.statistic, carry=context.carry, discount=context.discount)
+    return Oracle(context.bank, settings)

@@ -79,6 +79,30 @@ class Parser(argparse.ArgumentParser):
         return f"; did you mean '{near}'?" if near else ""
 
 
+def add_correction(parser: Parser, whose: str) -> None:
+    """Add what turns off the two things that the statistic `evidence` brings.
+
+    Args:
+        parser: of a script that takes ``--statistic``.
+        whose: as in "for all policies but amusic".
+    """
+    off: dict[str, Any] = {"action": "store_const", "const": False}
+    parser.add_argument(
+        "--no-carry", dest="carry", help=f"no carried candidates for SIC, {whose}", **off
+    )
+    parser.add_argument(
+        "--no-discount",
+        dest="discount",
+        help=f"MuSIC takes alike rows as they are, {whose}",
+        **off,
+    )
+
+
+def insisted(args: argparse.Namespace) -> dict[str, Any]:
+    """What the user said of SIC and MuSIC; None: nothing."""
+    return {"statistic": args.statistic, "carry": args.carry, "discount": args.discount}
+
+
 def run(main: Callable[[], int | None]) -> NoReturn:
     """Run a script's ``main`` and exit.
 

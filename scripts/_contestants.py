@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import baselines
+from agents.shipped import PRETRAINED, SHIPPED, shipped
 from amusic_gym.comparison import COMPUTE_WEIGHTS, Contestant
 from amusic_gym.comparison_files import code_digest, file_digest
-from amusic_gym.policy import Context, Policy
+from amusic_gym.policy import Context, Correction, Policy
 from baselines import NEEDS_GROUND_TRUTH, READS_COMPUTE_WEIGHT, make_policy
 
 BASELINES = Path(baselines.__file__).parent
-
-SHIPPED = BASELINES.parent / "agents" / "pretrained"
-"""Run folder of the selector that ships; named without loading PyTorch."""
 
 OF_TRAINING = "of the routes that it was trained on"
 """What a selector needs ground truth of whose reward was the true correctness."""
@@ -25,6 +24,8 @@ def contestants(
     specs: Sequence[str],
     *,
     statistic: str | None = None,
+    carry: bool | None = None,
+    discount: bool | None = None,
     compute_weights: Sequence[float] = COMPUTE_WEIGHTS,
 ) -> list[Contestant]:
     """The policies of ``NAME:ARGUMENT`` specs, each once.
@@ -32,17 +33,30 @@ def contestants(
     Args:
         specs: as on the command line of compare.py.
         statistic: the one that the user insists on; a trained selector refuses another.
+        carry: as `statistic`, whether places are carried on as candidates.
+        discount: as `statistic`, whether MuSIC discounts alike rows.
         compute_weights: λ of the trained selectors, and of baselines that read it.
 
     Raises:
         FileNotFoundError: for a run folder that is not there.
+        ValueError: for a folder that is no run's, or a statistic that no selector ships for.
     """
-    return [_contestant(spec, statistic, tuple(compute_weights)) for spec in dict.fromkeys(specs)]
+    wanted = _Wanted(statistic, carry, discount)
+    return [_contestant(spec, wanted, tuple(compute_weights)) for spec in dict.fromkeys(specs)]
 
 
-def _contestant(spec: str, statistic: str | None, weights: tuple[float, ...]) -> Contestant:
+class _Wanted(NamedTuple):
+    """What the user insists on."""
+
+    statistic: str | None
+    carry: bool | None
+    discount: bool | None
+
+
+def _contestant(spec: str, wanted: _Wanted, weights: tuple[float, ...]) -> Contestant:
     name, _, folder = spec.partition(":")
-    if name != "ppo":
+    kind, at, statistic = name.partition("@")
+    if kind != "ppo":
         return Contestant(
             spec,
             partial(make_policy, spec),
@@ -50,12 +64,13 @@ def _contestant(spec: str, statistic: str | None, weights: tuple[float, ...]) ->
             version=code_digest(BASELINES),
             needs_truth=NEEDS_GROUND_TRUTH.get(name, ""),
         )
-    return _learned(spec, Path(folder) if folder else SHIPPED, statistic, weights)
+    if at and folder:
+        raise ValueError(f"{spec}: a run brings its own statistic; name it ppo:{folder}")
+    run = Path(folder) if folder else shipped(*[statistic] if at else [])
+    return _learned(spec, run, wanted, weights)
 
 
-def _learned(
-    spec: str, folder: Path, statistic: str | None, weights: tuple[float, ...]
-) -> Contestant:
+def _learned(spec: str, folder: Path, wanted: _Wanted, weights: tuple[float, ...]) -> Contestant:
     import agents  # these need PyTorch
     from agents.run_folder import SELECTOR
     from agents.selector import learned_from_truth, load_selector
@@ -64,14 +79,26 @@ def _learned(
 
     def make(context: Context) -> Policy:
         selector = load_selector(folder)
-        own = selector.needs.statistic
-        if statistic not in (None, own):
-            raise ValueError(
-                f"{folder} was trained with the statistic {own!r} and takes no other; leave out "
-                f"--statistic {statistic} or compare it apart"
-            )
+        _refuse_another(folder, Correction.under(selector, context.statistic), wanted)
         return selector
 
     version = f"{file_digest(folder / SELECTOR)} {code_digest(Path(agents.__file__).parent)}"
     needs_truth = OF_TRAINING if learned_from_truth(folder) else ""
     return Contestant(spec, make, weights, version, needs_truth)
+
+
+def _refuse_another(folder: Path, own: Correction, wanted: _Wanted) -> None:
+    """Refuse what the user insists on where a selector was trained with something else."""
+    if wanted.statistic not in (None, own.statistic):
+        ships = folder.parent == PRETRAINED and wanted.statistic in SHIPPED
+        other = f", name ppo@{wanted.statistic}" if ships else ""
+        raise ValueError(
+            f"{folder} was trained with the statistic {own.statistic!r} and takes no other; leave"
+            f" out --statistic {wanted.statistic}{other} or compare it apart"
+        )
+    for name, what in (("carry", "carried candidates"), ("discount", "the discount")):
+        if getattr(wanted, name) not in (None, getattr(own, name)):
+            raise ValueError(
+                f"{folder} was trained with {what} and takes nothing else; leave out --no-{name} or"
+                " compare it apart"
+            )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from typing import Any
 
 from _contestants import contestants
 
@@ -32,6 +33,9 @@ DRAWING = ("random",)
 """Policies that draw."""
 
 
+Insisted = tuple[tuple[str, Any], ...]
+
+
 @dataclass(frozen=True)
 class Lineup:
     """What the command line asks for.
@@ -40,14 +44,14 @@ class Lineup:
         policies: specs, with ``@STATISTIC`` for one under another statistic.
         selectors: name → specs of its trained runs, one per seed.
         all_subsets: whether all fixed subsets are added.
-        statistic: what the user insists on; None: nothing.
+        insisted: what the user insists on: ``statistic``, ``carry``, ``discount``; None: nothing.
         compute_weights: λ of the learned selectors.
     """
 
     policies: tuple[str, ...]
     selectors: dict[str, tuple[str, ...]]
     all_subsets: bool
-    statistic: str | None
+    insisted: dict[str, Any]
     compute_weights: tuple[float, ...]
 
     def entrants(self, techniques: Sequence[str]) -> list[Entrant]:
@@ -67,7 +71,7 @@ class Lineup:
     def _policy(self, spec: str) -> Entrant:
         plain, statistic = split_statistic(spec)
         kind = plain.partition(":")[0]
-        made = self._contestant(plain, statistic or self.statistic)
+        made = self._contestant(plain, statistic)
         other = kinds.PEER if made.compute_weights == (None,) else kinds.LEARNED
         family = FAMILIES.get(kind, other)
         return Entrant(
@@ -80,22 +84,27 @@ class Lineup:
         )
 
     def _selector(self, name: str, runs: Sequence[str]) -> Entrant:
-        made = tuple(self._contestant(run, self.statistic) for run in runs)
+        made = tuple(self._contestant(run) for run in runs)
         needed = max(each.needs_truth for each in made)  # if any run does
         return Entrant(name=name, family=kinds.LEARNED, contestants=made, needs_truth=needed)
 
-    def _contestant(self, spec: str, statistic: str | None) -> Contestant:
-        (made,) = contestants([spec], statistic=statistic, compute_weights=self.compute_weights)
-        return replace(made, make=partial(build, spec, statistic))
+    def _contestant(self, spec: str, statistic: str | None = None) -> Contestant:
+        insisted = {**self.insisted, **({"statistic": statistic} if statistic else {})}
+        (made,) = contestants([spec], compute_weights=self.compute_weights, **insisted)
+        return replace(made, make=partial(build, spec, tuple(insisted.items())))
 
 
 def split_statistic(spec: str) -> tuple[str, str | None]:
     """``POLICY@STATISTIC`` in its two parts; a folder's name may hold an @.
 
+    ``ppo@STATISTIC`` is the name of a selector that ships, and no variant of another.
+
     Raises:
         ValueError: for an unknown statistic.
     """
     plain, at, statistic = spec.rpartition("@")
+    if plain == "ppo":
+        return spec, None
     if at and statistic in STATISTICS:
         return plain, statistic
     if at and not spec.startswith("ppo:"):
@@ -103,12 +112,12 @@ def split_statistic(spec: str) -> tuple[str, str | None]:
     return spec, None
 
 
-def build(spec: str, statistic: str | None, context: Context) -> Policy:
+def build(spec: str, insisted: Insisted, context: Context) -> Policy:
     """Build a policy; a function that workers can import."""
-    return _made(spec, statistic).make(context)
+    return _made(spec, insisted).make(context)
 
 
 @cache
-def _made(spec: str, statistic: str | None) -> Contestant:
-    (made,) = contestants([spec], statistic=statistic)
+def _made(spec: str, insisted: Insisted) -> Contestant:
+    (made,) = contestants([spec], **dict(insisted))
     return made

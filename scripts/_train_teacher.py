@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -77,6 +77,7 @@ def choose_cascades(
     weights: Sequence[float],
     *,
     statistic: str,
+    environment: Mapping[str, bool] | None = None,
     grid: Sequence[Parameters] = GRID,
     progress: bool = True,
 ) -> list[Choice]:
@@ -88,14 +89,16 @@ def choose_cascades(
         banks: routes with ground truth; correctness is the true one, not p̂.
         weights: the λ.
         statistic: SIC's statistic.
+        environment: how SIC works besides; None: as the statistic has it.
         grid: what is tried.
         progress: whether to show a progress bar.
     """
     measured = []  # (parameters) of (accuracy, compute)
     jobs = [Job(bank) for bank in banks]
+    options: dict[str, Any] = {"statistic": statistic, **(environment or {})}
     for parameters in tqdm(grid, desc="choosing the teacher", disable=not progress):
         cascade = Cascade(**asdict(parameters))
-        traces = rollouts(cascade, jobs, name="cascade", statistic=statistic)
+        traces = rollouts(cascade, jobs, name="cascade", **options)
         correct = np.mean([trace.correct.mean() for trace in traces])
         measured.append((correct, np.mean([compute(trace) for trace in traces])))
     accuracy, cost = np.array(measured).T
@@ -141,7 +144,8 @@ def make_teacher(
     else:
         _, middles = partition((low, high), PARTS if low < high else 1)
         banks = teacher_routes(config, routes)
-        choices = choose_cascades(banks, middles, statistic=config.statistic, grid=grid)
+        how = {"statistic": config.statistic, "environment": config.environment()}
+        choices = choose_cascades(banks, middles, grid=grid, **how)  # type: ignore[arg-type]
         _write(path, choices)
     return teacher_of(choices, (low, high))
 

@@ -1,9 +1,10 @@
 """Compare policies on score banks: a table, results.json, traces and figures.
 
-POLICY: amusic (the paper's), amusic:evidence, music, raw:NAME, single:NAME, subset:A+B,
-random:P[/idle], periodic:N[/A+B[/C]] (C may be idle), cascade[:CHEAP/HOLD/THRESHOLD], voi,
-voi:idle, voi:LAMBDA[/idle], oracle, ppo (the selector that ships), ppo:RUN (a folder that train.py
-wrote), mpf[:R], hmpf, dynmpf[:R], plurality, borda[:DEPTH], hmm[:BETA/JUMP], switchhit[:TAU].
+POLICY: amusic (the paper's), amusic:evidence, amusic:belief, music, raw:NAME, single:NAME,
+subset:A+B, random:P[/idle], periodic:N[/A+B[/C]] (C may be idle), cascade[:CHEAP/HOLD/THRESHOLD],
+voi, voi:idle, voi:LAMBDA[/idle], oracle, ppo and ppo@belief (the selectors that ship, for evidence
+and for belief), ppo:RUN (a folder that train.py wrote), mpf[:R], hmpf, dynmpf[:R], plurality,
+borda[:DEPTH], hmm[:BETA/JUMP], switchhit[:TAU].
 With idle nothing may run on a frame. Rows that are finished in DIR already are not run again.
 """
 
@@ -13,7 +14,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from _cli import Parser, run
+from _cli import Parser, add_correction, insisted, run
 from _contestants import contestants
 
 from amusic_gym.bank import COST_MODELS, ScoreBank
@@ -59,6 +60,7 @@ def _parser() -> Parser:
         help="of SIC, for all policies but amusic and ppo, which bring their own "
         f"(default: {SICSettings.statistic})",
     )
+    add_correction(parser, "likewise")
     add("--costs", choices=COST_MODELS, help="cost model (default: the bank's own)")
     add("--seed", type=int, default=0, metavar="S", help="for policies that draw (default: 0)")
     return parser
@@ -77,11 +79,11 @@ def main() -> None:
         banks = [bank.with_costs(args.costs) for bank in banks]
     result = compare(
         banks,
-        lambda bank: contestants(
-            specs(args, bank), statistic=args.statistic, compute_weights=weights
-        ),
+        lambda bank: contestants(specs(args, bank), compute_weights=weights, **insisted(args)),
         args.out,
         statistic=args.statistic or SICSettings.statistic,
+        carry=args.carry,
+        discount=args.discount,
         seed=args.seed,
         report=partial(print, flush=True),
     )

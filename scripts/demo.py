@@ -71,8 +71,8 @@ def freeze(comparison: Comparison) -> str:
         if (t.bank, t.policy, t.compute_weight)
         == (PLANTED, selector["policy"], selector["compute_weight"])
     )
-    policy = Frozen(trace.ran.mean(axis=0), trace.statistic)
-    frozen = rollout(policy, planted(PLANTED_SEED), name="frozen", statistic=trace.statistic)
+    policy = Frozen(trace.ran.mean(axis=0), trace.statistic, carry=trace.carry)
+    frozen = rollout(policy, planted(PLANTED_SEED), name="frozen")
     return story.planted(rows, summarise(frozen), selector)
 
 

@@ -10,13 +10,21 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from _cli import Parser, by_technique, number, pairs, run  # first: Ctrl-C ends well from here on
+from _cli import (  # first: Ctrl-C ends well from here on
+    Parser,
+    add_correction,
+    by_technique,
+    insisted,
+    number,
+    pairs,
+    run,
+)
 
 # isort: split
 import numpy as np
@@ -111,23 +119,28 @@ def route_of(
     return LiveRoute(maps, frames, seconds=seconds, **options)
 
 
-def refuse_early(policy: Contestant, techniques: list[Technique], statistic: str) -> None:
+def refuse_early(
+    policy: Contestant, techniques: list[Technique], correction: Mapping[str, Any]
+) -> None:
     """Let a wrong policy fail before the map is described, which can take long."""
     names = [one.name for one in techniques]
     stand_in = ScoreBank(
         np.zeros((len(names), 1, 1), np.float32), names, np.ones(len(names)), tolerance=0
     )
-    policy.make(Context.of(stand_in, statistic=statistic))
+    policy.make(Context.of(stand_in, **correction))
 
 
-def drive(policy: Contestant, route: LiveRoute, statistic: str, seed: int) -> Iterator[Sighting]:
+def drive(
+    policy: Contestant, route: LiveRoute, correction: Mapping[str, Any], seed: int
+) -> Iterator[Sighting]:
     """A drive with a fresh policy."""
-    made = policy.make(Context.of(route, statistic=statistic, seed=seed))
-    weight = policy.compute_weights[0]
-    return navigate(made, route, statistic=statistic, compute_weight=weight)
+    made = policy.make(Context.of(route, seed=seed, **correction))
+    return navigate(made, route, compute_weight=policy.compute_weights[0], **correction)
 
 
-def warm_up(policy: Contestant, route: LiveRoute, places: ImageFolder, statistic: str) -> None:
+def warm_up(
+    policy: Contestant, route: LiveRoute, places: ImageFolder, correction: Mapping[str, Any]
+) -> None:
     """Compile, load and run everything once, on images of the map."""
     image = places[0]
     for technique in range(len(route.techniques)):
@@ -139,7 +152,7 @@ def warm_up(policy: Contestant, route: LiveRoute, places: ImageFolder, statistic
         seconds=route.seconds,
         name=route.name,
     )
-    for _ in drive(policy, short, statistic, seed=0):
+    for _ in drive(policy, short, correction, seed=0):
         pass
 
 
@@ -156,15 +169,13 @@ def check(args: argparse.Namespace) -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Parse, describe the map, drive."""
     args = _parser().parse_args(arguments)
-    statistic = args.statistic or SICSettings.statistic
+    correction = {**insisted(args), "statistic": args.statistic or SICSettings.statistic}
     policy = contestants(
-        [args.policy],
-        statistic=args.statistic,
-        compute_weights=check_weights([args.compute_weight]),
+        [args.policy], compute_weights=check_weights([args.compute_weight]), **insisted(args)
     )[0]
     check(args)
     techniques = techniques_of(args)
-    refuse_early(policy, techniques, statistic)
+    refuse_early(policy, techniques, correction)
     with ExitStack() as stack:
         window = stack.enter_context(closing(_window())) if args.show else None
         video = VideoWriter(args.video, RENDER_FPS) if args.video else None
@@ -172,12 +183,12 @@ def main(arguments: list[str] | None = None) -> None:
         stack.callback(getattr(frames, "close", lambda: None))
         places = ImageFolder(args.reference)
         route = route_of(args, _maps(args, techniques, places, stack), frames, places)
-        warm_up(policy, route, places, statistic)
+        warm_up(policy, route, places, correction)
         title = f"{route.name}, {policy_label(args.policy)}"
         screen = stack.enter_context(Screen(Pictures(route, title), video, window))
         trace = stack.enter_context(TraceWriter(args.trace, route)) if args.trace else None
         journal = stack.enter_context(Journal(route, quiet=args.quiet))
-        for sighting in islice(drive(policy, route, statistic, args.seed), args.frames):
+        for sighting in islice(drive(policy, route, correction, args.seed), args.frames):
             journal.write(sighting)
             if trace is not None:
                 trace.write(sighting)
@@ -236,6 +247,7 @@ def _parser() -> Parser:
         help="declared seconds of a run (default: measured before the first frame)",
     )
     add("--statistic", choices=STATISTICS, help=f"of SIC (default: {SICSettings.statistic})")
+    add_correction(parser, "unless the policy brings its own")
     add(
         "--compute-weight",
         type=float,

@@ -13,7 +13,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from _cli import Parser, pairs, run
+from _cli import Parser, add_correction, insisted, pairs, run
 from _study_policies import Lineup
 
 from amusic_gym import study
@@ -95,6 +95,7 @@ def _add_policies(parser: Parser) -> None:
         help="of SIC, for all policies but amusic and trained ones, which bring their own "
         f"(default: {SICSettings.statistic})",
     )
+    add_correction(parser, "likewise")
 
 
 def lineup(args: argparse.Namespace) -> Lineup:
@@ -107,7 +108,7 @@ def lineup(args: argparse.Namespace) -> Lineup:
         policies=tuple(args.policy),
         selectors=selectors,
         all_subsets=args.all_subsets,
-        statistic=args.statistic,
+        insisted=insisted(args),
         compute_weights=check_weights(args.compute_weight),
     )
 
@@ -159,6 +160,8 @@ def main() -> None:
         banks,
         lambda bank: policies.entrants(bank.techniques),
         statistic=args.statistic or SICSettings.statistic,
+        carry=args.carry,
+        discount=args.discount,
         seeds=seeds(args),
         conditions=args.conditions,
     )

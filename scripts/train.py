@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from _cli import Parser, pairs, run
+from _cli import Parser, add_correction, pairs, run
 
 if TYPE_CHECKING:
     from agents.config import TrainingConfig
@@ -85,6 +85,7 @@ def _parser() -> Parser:
         kind, default = type(getattr(defaults, name)), getattr(defaults, name)
         add(option(name), type=kind, help=f"{of} (default of ppo: {default})")
     add("--statistic", help=f"of SIC (default: {defaults.statistic})")
+    add_correction(parser, "in training and ever after")
     add("--reward", help=f"estimated or ground_truth (default: {defaults.reward})")
     add(
         "--simulation",
@@ -106,7 +107,8 @@ def _config(given: argparse.Namespace) -> TrainingConfig:
     """The defaults, or the configuration of the run to resume, with what was given."""
     from agents.config import WARM_START, training_config
 
-    names = [*"algorithm timesteps seed n_envs threads statistic reward".split(), *LEARNING]
+    given_names = "algorithm timesteps seed n_envs threads statistic carry discount reward"
+    names = [*given_names.split(), *LEARNING]
     chosen = {name: getattr(given, name) for name in names if getattr(given, name) is not None}
     if given.simulation:
         chosen["simulation"] = ranges(given.simulation)

@@ -1,9 +1,9 @@
-"""Train the selector that ships, from its seed, and say whether it came out as it ships.
+"""Train a selector that ships, from its seed, and say whether it came out as it ships.
 
 A cascade is chosen for every part of the range of λ, imitated, and the imitation goes on learning
 with PPO; all of it on simulated routes, by their ground truth. The run folder is ``--out``;
-``--ship`` puts its selector into ``agents/pretrained``, unless the one that is there does better. A
-run that was stopped goes on where it was.
+``--ship`` puts its selector into the statistic's folder in ``agents/pretrained``, unless the one
+that is there does better. A run that was stopped goes on where it was.
 """
 
 from __future__ import annotations
@@ -13,12 +13,18 @@ from typing import TYPE_CHECKING
 
 from _cli import Parser, run
 
+from agents.shipped import SHIPPED, shipped
+from amusic_gym.settings import SICSettings
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from _train_teacher import Parameters
 
     from agents.config import TrainingConfig
+
+ALGORITHM = {"evidence": "imitation+ppo", "belief": "imitation+ppo"}
+"""Statistic → how what ships for it was trained."""
 
 TIMESTEPS = 2_000_000
 SEED = 0
@@ -129,22 +135,32 @@ def main(arguments: list[str] | None = None) -> None:
     add("--out", type=Path, required=True, help="run folder")
     add("--timesteps", type=int, default=TIMESTEPS, help=f"of PPO ({TIMESTEPS})")
     add("--seed", type=int, default=SEED, help=f"({SEED})")
+    add(
+        "--statistic",
+        choices=SHIPPED,
+        default=SICSettings.statistic,
+        help="that it ships for (default: %(default)s)",
+    )
     add("--ship", action="store_true", help="put the selector into agents/pretrained")
     given = parser.parse_args(arguments)
 
-    from _contestants import SHIPPED
-
     from agents.config import training_config
 
+    folder = shipped(given.statistic)
     config = training_config(
-        algorithm="imitation+ppo", timesteps=given.timesteps, seed=given.seed, reward=REWARD
+        algorithm=ALGORITHM[given.statistic],
+        timesteps=given.timesteps,
+        seed=given.seed,
+        statistic=given.statistic,
+        reward=REWARD,
     )
     learn(given.out, config)
-    same = is_same(given.out, SHIPPED)
-    words = "the selector that ships" if same else "not the selector that ships, bit for bit"
-    print(f"The selector in {given.out} is {words}")
+    words = "the selector that ships"
+    if not is_same(given.out, folder):
+        words = f"not {words}, bit for bit"
+    print(f"The selector in {given.out} is {words} for {given.statistic!r}")
     if given.ship:
-        ship(given.out, SHIPPED)
+        ship(given.out, folder)
 
 
 if __name__ == "__main__":

@@ -338,7 +338,7 @@ TOURS = Simulation(
 
 
 def population(statistic: str) -> Simulation:
-    """The routes that p̂ and selectors of a statistic are fitted on: of the motion it is made for."""
+    """The routes that p̂ and selectors of a statistic are fitted on: of its own kind of motion."""
     return POPULATION if statistic == "belief" else TOURS
 
 

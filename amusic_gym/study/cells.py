@@ -108,6 +108,8 @@ class Cell:
         bank: index in the bench.
         maker: index in the bench.
         statistic: SIC's, of policies that do not bring their own.
+        carry: whether places are carried on as candidates, likewise.
+        discount: whether MuSIC discounts alike rows, likewise.
         retiming: seed of the re-timing; None: as recorded.
         seed: for policies that draw.
         size: frames.
@@ -118,6 +120,8 @@ class Cell:
     bank: int
     maker: int
     statistic: str
+    carry: bool | None
+    discount: bool | None
     retiming: int | None
     seed: int
     size: int
@@ -146,13 +150,15 @@ class Cell:
 
     def _play(self, bench: Bench) -> Trace:
         bank = bench.route(self.bank, self.retiming)
-        context = Context.of(bank, statistic=self.statistic, seed=self.seed)
+        chosen: dict[str, Any] = {
+            name: getattr(self, name) for name in ("statistic", "carry", "discount")
+        }
         return rollout(
-            bench.makers[self.maker](context),
+            bench.makers[self.maker](Context.of(bank, seed=self.seed, **chosen)),
             bank,
             name=self.labels["policy"],
-            statistic=self.statistic,
             compute_weight=self.labels["compute_weight"],
+            **chosen,
         )
 
 
@@ -165,9 +171,11 @@ LABELS = (
     "member",
     "compute_weight",
     "statistic",
+    "carry",
     "costs",
 )
-"""``bank``, ``policy``, ``compute_weight``, ``statistic``, ``costs`` as in ``results.json``;
+"""``bank``, ``policy``, ``compute_weight``, ``statistic``, ``carry``, ``costs`` as in
+``results.json``;
 ``member``: which contestant of the entrant."""
 
 AUDITED = ("p_correct", "gap", "auroc", "calibration_error")

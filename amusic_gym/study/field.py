@@ -26,6 +26,7 @@ class Point(NamedTuple):
     family: str
     compute_weight: float | None
     statistic: str
+    carry: bool
 
 
 @dataclass(frozen=True)

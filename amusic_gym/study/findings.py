@@ -29,7 +29,7 @@ from amusic_gym.study.run import Finished, Row
 from amusic_gym.trace import write_whole
 
 RESULTS = "study.json"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 SHOWN_COMPUTES = (0.05, 0.1, 0.2, 0.4, 1.0)
 """Computes at which tables show a front."""
@@ -113,6 +113,8 @@ def _settings(plan: Plan, rivals: Sequence[str]) -> Row:
         "conditions": list(plan.conditions),
         "seeds": list(plan.seeds),
         "statistic": plan.statistic,
+        "carry": plan.carry,
+        "discount": plan.discount,
         "costs": plan.costs,
         "rivals": list(rivals),
         "needs_truth": dict(plan.needs_truth),

@@ -11,7 +11,7 @@ from amusic_gym.bank import ScoreBank
 from amusic_gym.checks import whole
 from amusic_gym.comparison import Contestant, check_banks, distinct
 from amusic_gym.names import suggest
-from amusic_gym.policy import Context, Policy, Selector
+from amusic_gym.policy import Context, Correction, Policy
 from amusic_gym.settings import SICSettings
 from amusic_gym.study import store
 from amusic_gym.study.cells import (
@@ -46,6 +46,8 @@ class Plan:
         seeds: of re-timing, of policies that draw, and numbers of trainings.
         conditions: of `CONDITIONS`.
         statistic: SIC's, of policies that do not bring their own.
+        carry: whether places are carried on as candidates, likewise; None: as the statistic has it.
+        discount: whether MuSIC discounts alike rows, likewise; None: as the statistic has it.
         costs: name of the cost model.
         needs_truth: name of an entrant → of what it needs ground truth.
     """
@@ -56,6 +58,8 @@ class Plan:
     seeds: tuple[int, ...]
     conditions: tuple[str, ...]
     statistic: str
+    carry: bool | None
+    discount: bool | None
     costs: str
     needs_truth: dict[str, str]
 
@@ -65,6 +69,8 @@ def make_plan(
     entrants: Callable[[ScoreBank], Sequence[Entrant]],
     *,
     statistic: str = SICSettings.statistic,
+    carry: bool | None = None,
+    discount: bool | None = None,
     seeds: Sequence[int] = range(SEED_COUNT),
     conditions: Sequence[str] = CONDITIONS,
 ) -> Plan:
@@ -78,6 +84,8 @@ def make_plan(
         banks: the routes, with the costs to reckon with. A name that several share is numbered.
         entrants: the policies for a bank.
         statistic: SIC's, for policies that do not bring their own.
+        carry: whether places are carried on as candidates, likewise; None: as the statistic has it.
+        discount: whether MuSIC discounts alike rows, likewise; None: as the statistic has it.
         seeds: different whole numbers >= 0.
         conditions: some of `CONDITIONS`.
 
@@ -89,7 +97,8 @@ def make_plan(
     check_banks(banks)
     numbers = _check(seeds, conditions)
     names = distinct([bank.name or "bank" for bank in banks], taken=(MEAN,))
-    planner = _Planner(statistic, numbers, tuple(dict.fromkeys(conditions)))
+    chosen = {"carry": carry, "discount": discount}
+    planner = _Planner(statistic, chosen, numbers, tuple(dict.fromkeys(conditions)))
     for number, (bank, name) in enumerate(zip(banks, names, strict=True)):
         planner.add(number, bank, name, entrants(bank))
     if not planner.cells:
@@ -101,6 +110,8 @@ def make_plan(
         seeds=numbers,
         conditions=planner.conditions,
         statistic=statistic,
+        carry=carry,
+        discount=discount,
         costs=banks[0].costs,
         needs_truth=planner.needs_truth,
     )
@@ -142,8 +153,15 @@ class _Site:
 class _Planner:
     """Collects cells, bank by bank."""
 
-    def __init__(self, statistic: str, seeds: tuple[int, ...], conditions: tuple[str, ...]) -> None:
+    def __init__(
+        self,
+        statistic: str,
+        chosen: dict[str, bool | None],
+        seeds: tuple[int, ...],
+        conditions: tuple[str, ...],
+    ) -> None:
         self.statistic = statistic
+        self.chosen = chosen  # carry and discount
         self.seeds = seeds
         self.conditions = conditions
         self.cells: list[Cell] = []
@@ -171,15 +189,14 @@ class _Planner:
         """One per λ; builds every policy once to see that it can be built."""
         _check_entrant(entrant, len(self.seeds))
         statistic = entrant.statistic or self.statistic
-        context = Context.of(bank, statistic=statistic, seed=self.seeds[0])
-        own = ""
+        context = Context.of(bank, statistic=statistic, seed=self.seeds[0], **self.chosen)
         for contestant in entrant.contestants:
             policy = contestant.make(context)
-            own = (policy.needs.statistic or statistic) if isinstance(policy, Selector) else "none"
-            if entrant.statistic not in (None, own):
+            own = Correction.under(policy, statistic, **self.chosen)
+            if entrant.statistic not in (None, own.statistic):
                 raise ValueError(
-                    f"{entrant.name}: the policy has a statistic of its own, {own!r}, and takes no"
-                    f" other; leave out @{entrant.statistic}"
+                    f"{entrant.name}: the policy has a statistic of its own, {own.statistic!r}, and"
+                    f" takes no other; leave out @{entrant.statistic}"
                 )
         weights = dict.fromkeys(entrant.contestants[0].compute_weights)
         return [_Job(entrant, statistic, own, weight) for weight in weights]
@@ -191,7 +208,8 @@ class _Planner:
         shared = {
             "condition": condition,
             "compute_weight": job.weight,
-            "statistic": job.own,
+            "statistic": job.own.statistic,
+            "carry": job.own.carry,
             "costs": site.bank.costs,
         }
         key = {
@@ -200,6 +218,7 @@ class _Planner:
             "retiming": retiming,
             "policy": contestant.name,
             "policy_version": contestant.version,
+            "discount": job.own.discount,
             "drawing": seed if entrant.draws else None,
             "code": self._code,
             "version": __version__,
@@ -218,6 +237,8 @@ class _Planner:
             bank=site.number,
             maker=self._maker_of(contestant, job.statistic),
             statistic=job.statistic,
+            carry=self.chosen["carry"],
+            discount=self.chosen["discount"],
             retiming=retiming,
             seed=seed if entrant.draws else self.seeds[0],
             size=site.bank.queries,
@@ -237,7 +258,7 @@ class _Job:
 
     entrant: Entrant
     statistic: str  # SIC's, for a policy that does not bring its own
-    own: str  # the one that it has in the end; "none" for a localiser
+    own: Correction  # what it has in the end
     weight: float | None
 
     def varies(self, condition: str) -> bool:

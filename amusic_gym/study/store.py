@@ -13,7 +13,7 @@ from amusic_gym.extraction.code import key_of
 from amusic_gym.study.cells import Measures
 from amusic_gym.trace import write_whole
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 
 FOLDER = "cells"
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from amusic_gym.audit import PARTING
 from amusic_gym.marks import footnote, marked
+from amusic_gym.settings import statistic_label
 from amusic_gym.study.cells import NAMES
 from amusic_gym.study.findings import SHOWN_COMPUTES, Findings
 from amusic_gym.study.fronts import BAND, ROUNDING
@@ -86,7 +87,8 @@ def _points(findings: Findings, scope: str) -> Table:
     by_key: dict[tuple[Any, ...], dict[str, Row]] = {}
     for row in findings.points:
         if row["bank"] == scope:
-            key = row["policy"], row["compute_weight"], row["statistic"]
+            label = statistic_label(row["statistic"], row["carry"])
+            key = row["policy"], row["compute_weight"], label
             by_key.setdefault(key, {})[row["condition"]] = row
     heads = ["policy", "λ", "SIC"]
     for condition in conditions:
