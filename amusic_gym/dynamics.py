@@ -181,7 +181,7 @@ def estimate(calibration: Any, statistic: float, margin: float, has_rival: bool)
         logit = calibration[0] + calibration[1] * s + calibration[2] * math.asinh(margin)
     else:
         logit = calibration[3] + calibration[4] * s
-    return min(max(logit, -30.0), 30.0)
+    return float(min(max(logit, -30.0), 30.0))
 
 
 @inner

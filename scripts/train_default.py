@@ -155,10 +155,10 @@ def main(arguments: list[str] | None = None) -> None:
         reward=REWARD,
     )
     learn(given.out, config)
-    words = "the selector that ships"
+    words = f"the selector that ships for {given.statistic!r}"
     if not is_same(given.out, folder):
         words = f"not {words}, bit for bit"
-    print(f"The selector in {given.out} is {words} for {given.statistic!r}")
+    print(f"The selector in {given.out} is {words}")
     if given.ship:
         ship(given.out, folder)
 

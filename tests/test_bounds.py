@@ -18,7 +18,13 @@ def row(bank, policy, auc, compute, **other):
     return {
         **dict.fromkeys((*zeros, "auc_vprbench", "auc_paper"), 0.0),
         **{"bank": bank, "policy": policy, "auc": auc, "compute": compute, "accuracy": 1 - auc},
-        **{"compute_weight": None, "statistic": "evidence", "costs": "runs", "queries": 10},
+        **{
+            "compute_weight": None,
+            "statistic": "evidence",
+            "carry": True,
+            "costs": "runs",
+            "queries": 10,
+        },
         **{"median_error": None, **other},
     }
 
@@ -97,6 +103,11 @@ def test_rows_are_left_as_they_were():
             [*ROWS, row("one", "subset:A+B", 1, 1, statistic="mean")],
             {},
             "have several statistic: evidence, mean; give those of one",
+        ),
+        (
+            [*ROWS, row("one", "subset:A+B", 1, 1, carry=False)],
+            {},
+            "have several carry: True, False; give those of one",
         ),
         (
             [*ROWS, row("one", "subset:A+B", 1, 1, costs="paper")],

@@ -40,6 +40,7 @@ ROW_KEYS = [
     "policy",
     "compute_weight",
     "statistic",
+    "carry",
     "costs",
     "queries",
     "accuracy",
@@ -54,6 +55,9 @@ ROW_KEYS = [
     "median_error",
     "lost",
 ]  # as other programs read them
+
+
+SETTINGS = {"statistic", "carry", "discount", "seed"}
 
 
 class Weighted(Cycle):
@@ -121,21 +125,43 @@ def test_a_row_for_every_policy_weight_and_bank(tmp_path, said):
     banks = two_banks()
     lineup = Lineup("music", "weighted", "raw:T0", weights=[1.0, 3.0])
     result = compare(banks, lineup, tmp_path, report=said.append)
-    seen = [(r["bank"], r["policy"], r["compute_weight"], r["statistic"]) for r in result.rows]
+    named = ("bank", "policy", "compute_weight", "statistic", "carry")
+    seen = [tuple(row[name] for name in named) for row in result.rows]
     assert seen == [
         (bank.name, *rest)
         for bank in banks
         for rest in [
-            ("music", None, SICSettings.statistic),
-            ("weighted", 1.0, "mean"),
-            ("weighted", 3.0, "mean"),
-            ("raw:T0", None, "none"),
+            ("music", None, SICSettings.statistic, True),
+            ("weighted", 1.0, "mean", False),
+            ("weighted", 3.0, "mean", False),
+            ("raw:T0", None, "none", False),
         ]
     ]
     assert [len(row) for row in result.rows] == [len(ROW_KEYS)] * 8
     assert result.rows[1]["ptr"] == pytest.approx(1 / 3)
     assert result.rows[2]["ptr"] == 1
     assert [line.split("]")[0] for line in said] == [f"[{n}/8" for n in range(1, 9)]
+
+
+def test_a_policy_without_carried_candidates_says_so_and_none_without_a_choice_does(tmp_path):
+    lineup = Lineup("music", "amusic", "amusic:evidence", "amusic:belief", "raw:T0")
+    rows = {}
+    for carry in (None, False):
+        result = compare([random_bank(1)], lineup, tmp_path, carry=carry, report=len)
+        rows[carry] = {row["policy"]: row for row in result.rows}
+        shown = {line.split()[0]: line for line in table(result).splitlines() if line.strip()}
+        assert ("evidence, no carry" in shown["music"]) == (carry is False)
+        assert "carry" not in shown["amusic"] + shown["amusic:evidence"] + shown["amusic:belief"]
+    assert [row["carry"] for row in rows[None].values()] == [True, False, True, False, False]
+    assert [row["carry"] for row in rows[False].values()] == [False, False, True, False, False]
+    assert [row["statistic"] for row in rows[False].values()][1:4] == ["mean", "evidence", "belief"]
+    others = [name for name in rows[None] if name != "music"]
+    assert all(rows[None][name] == rows[False][name] for name in others)
+
+
+def test_what_a_statistic_has_no_use_for_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="carry is True, but 'belief' has no candidates"):
+        compare([random_bank(1)], Lineup("music"), tmp_path, statistic="belief", carry=True)
 
 
 def test_results_file_is_what_other_programs_read(tmp_path):
@@ -192,6 +218,8 @@ def test_what_is_added_is_run_alone(tmp_path):
     "change",
     [
         {"statistic": "mean"},
+        {"carry": False},
+        {"discount": False},
         {"seed": 1},
         {"version": "other weights"},
         {"banks": [random_bank(1, queries=20, levels=13)]},
@@ -210,7 +238,7 @@ def test_25_whatever_may_change_a_row_makes_it_run_again(tmp_path, monkeypatch, 
     if "release" in change:
         monkeypatch.setattr("amusic_gym.comparison.__version__", "9.9")
     lineup = Lineup("random:0.5", version=change.get("version", ""))
-    options = {key: change[key] for key in ("statistic", "seed") if key in change}
+    options = {key: change[key] for key in change.keys() & SETTINGS}
     compare(change.get("banks", [bank]), lineup, tmp_path, report=len, **options)
     assert len(lineup.runs) == 1
 

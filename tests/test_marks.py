@@ -16,6 +16,7 @@ from agents.config import TrainingConfig, stored
 from agents.network import SelectorNetwork
 from agents.run_folder import CONFIG, read_config, write_config, write_selector
 from agents.selector import learned_from_truth
+from agents.shipped import SHIPPED, shipped
 from amusic_gym import study
 from amusic_gym.comparison import compare, table
 from amusic_gym.marks import footnote, marked
@@ -26,7 +27,7 @@ from amusic_gym.study.tables import Table, tables
 if str(SCRIPTS) not in sys.path:
     sys.path.insert(0, str(SCRIPTS))
 
-from _contestants import SHIPPED, contestants  # noqa: E402  (found by the line above)
+from _contestants import contestants  # noqa: E402  (found by the line above)
 from _study_policies import Lineup  # noqa: E402
 
 NEEDS = {"oracle": "of the route itself", "switchhit": "of routes to learn from"}
@@ -66,7 +67,7 @@ def test_a_run_folder_says_whether_its_selector_learned_from_the_truth(runs, tmp
     folders = {name: Path(spec.removeprefix("ppo:")) for name, spec in runs.items()}
     assert learned_from_truth(folders["told"])
     assert not learned_from_truth(folders["alone"])
-    assert learned_from_truth(SHIPPED)
+    assert all(learned_from_truth(shipped(statistic)) for statistic in SHIPPED)
     for training in ({}, None):  # still loads, so it is not refused here
         config = {**read_config(folders["told"]), "training": training}
         write_config(tmp_path, config)
@@ -107,7 +108,7 @@ def test_a_study_takes_the_marks_of_policies_and_of_runs(runs):
         policies=("music", "oracle", "switchhit:0.6@mean", runs["told"]),
         selectors={"told": (runs["alone"], runs["told"]), "alone": (runs["alone"],)},
         all_subsets=False,
-        statistic=None,
+        insisted={},
         compute_weights=(0.3,),
     )
     needs = {one.name: one.needs_truth for one in lineup.entrants(["A", "B"]) if one.needs_truth}

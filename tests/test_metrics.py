@@ -23,6 +23,7 @@ ROW_KEYS = [
     "policy",
     "compute_weight",
     "statistic",
+    "carry",
     "costs",
     "queries",
     "accuracy",
@@ -166,12 +167,14 @@ def test_mean_rows_average_banks_and_keep_policies_apart() -> None:
     first = metrics.summarise(trace_of([1, 0], [2.0, 1.0]))
     second = {**first, "bank": "other", "auc": 1.0, "queries": 8, "median_error": None}
     weighted = {**first, "compute_weight": 1.0}
-    variant = {**first, "statistic": "evidence"}
-    rows = metrics.mean_rows([first, weighted, second, variant])
-    assert [(r["compute_weight"], r["statistic"]) for r in rows] == [
-        (None, "mean"),
-        (1.0, "mean"),
-        (None, "evidence"),
+    variant = {**first, "statistic": "evidence", "carry": True}
+    plain = {**variant, "carry": False}
+    rows = metrics.mean_rows([first, weighted, second, variant, plain])
+    assert [(r["compute_weight"], r["statistic"], r["carry"]) for r in rows] == [
+        (None, "mean", False),
+        (1.0, "mean", False),
+        (None, "evidence", True),
+        (None, "evidence", False),
     ]
     assert all(list(row) == ROW_KEYS and row["bank"] == "mean" for row in rows)
     assert rows[0]["auc"] == pytest.approx((first["auc"] + 1.0) / 2)

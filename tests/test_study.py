@@ -198,7 +198,7 @@ def test_a_cell_holds_what_the_rollout_gives(whole):
         row, held = summarise(trace), audit(trace)
         measured = {key: value for key, value in row.items() if key not in LABELS}
         assert measured.items() <= cell.items()
-        assert cell["statistic"] == row["statistic"]
+        assert (cell["statistic"], cell["carry"]) == (row["statistic"], row["carry"])
         assert cell["costs"] == "measured"
         assert (cell["p_correct"], cell["gap"]) == (held.p_correct, held.gap)
         assert (cell["auroc"], cell["calibration_error"]) == (held.auroc, held.calibration_error)
@@ -286,6 +286,8 @@ def one_cell(
         {"spec": "random:0.4"},
         {"weights": (2.0,)},
         {"statistic": "mean"},
+        {"carry": False},
+        {"discount": False},
         {"costs": "runs"},
         {"conditions": ("retimed",)},
         {"draws": True},
@@ -389,6 +391,7 @@ def cell(policy, bank, auc, compute=0.5, family="peer", weight=None):
         "family": family,
         "compute_weight": weight,
         "statistic": "evidence",
+        "carry": True,
         "bank": bank,
         "auc": auc,
         "compute": compute,
@@ -530,6 +533,8 @@ def made_up(aucs: dict[str, list[tuple[float, float]]], families: dict[str, str]
         conditions=("recorded",),
         seeds=seeds,
         statistic="evidence",
+        carry=None,
+        discount=None,
         costs="runs",
         needs_truth={},
     )
@@ -806,6 +811,8 @@ def test_34_ctrl_c_keeps_the_finished_cells_and_exits_130(tmp_path, folders):
         (["--policy", "musc"], "unknown policy 'musc': did you mean 'music'?"),
         (["--policy", "music@evidance"], "unknown statistic 'evidance': did you mean 'evidence'?"),
         (["--policy", "amusic@evidence"], "has a statistic of its own, 'mean'"),
+        (["--policy", "ppo@mean"], "no selector ships for the statistic 'mean'"),
+        (["--policy", "ppo", "--no-carry"], "leave out --no-carry"),
         (["--selector", "PPO"], "--selector 'PPO' is not of the form NAME=VALUE"),
         (["--selector", "PPO=nowhere"], "nowhere is no run folder"),
         (["--policy", "music", "--rival", "PPO"], "--rival 'PPO' is no selector of this study"),

@@ -59,6 +59,12 @@ def test_what_a_policy_does_not_give_is_none_throughout() -> None:
     assert not trace.selections.any()
 
 
+@pytest.mark.parametrize(("statistic", "carried"), [("mean", False), ("evidence", True)])
+def test_places_are_carried_as_the_statistic_has_it_unless_told(statistic, carried) -> None:
+    assert small_trace(statistic=statistic).carry is carried
+    assert small_trace(statistic=statistic, carry=not carried).carry is not carried
+
+
 def test_arrays_are_copies_that_nobody_can_change() -> None:
     confidence = np.arange(5.0)
     trace = small_trace(confidence=confidence)

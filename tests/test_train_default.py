@@ -16,6 +16,7 @@ from agents.config import ImitationConfig, TrainingConfig
 from agents.imitation import IMITATION
 from agents.run_folder import CONFIG, SELECTOR
 from agents.selector import load_selector
+from agents.shipped import PRETRAINED, shipped
 
 if str(SCRIPTS) not in sys.path:
     sys.path.insert(0, str(SCRIPTS))  # the training, as the scripts find each other
@@ -23,7 +24,6 @@ if str(SCRIPTS) not in sys.path:
 import _cli  # noqa: E402  (found by the lines above)
 import _train_teacher  # noqa: E402
 import train_default  # noqa: E402
-from _contestants import SHIPPED  # noqa: E402
 
 TINY = {
     **SMALL,
@@ -36,17 +36,17 @@ CARD = "CARD.md"
 
 def digests(folder: Path) -> dict[str, str]:
     return {
-        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.iterdir())
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
         if path.is_file()
     }
 
 
 @pytest.fixture(autouse=True)
 def nothing_is_written_where_the_selector_ships():
-    before = digests(SHIPPED)
+    before = digests(PRETRAINED)
     yield
-    assert digests(SHIPPED) == before
+    assert digests(PRETRAINED) == before
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +57,8 @@ def command(tmp_path_factory):
         patch.setitem(train_default.learn.__kwdefaults__, "routes", 1)
         patch.setitem(train_default.learn.__kwdefaults__, "grid", _train_teacher.GRID[:3])
 
-        def call(out: Path, shipped: Path, *more: object) -> None:
-            patch.setattr("_contestants.SHIPPED", shipped)
+        def call(out: Path, folder: Path, *more: object) -> None:
+            patch.setattr(train_default, "shipped", lambda statistic: folder)
             words = ["--out", out, "--timesteps", STEPS, *more]
             train_default.main([str(word) for word in words])
 
@@ -82,7 +82,8 @@ def better(tmp_path) -> Path:
     folder = tmp_path / "better"
     folder.mkdir()
     for name in (SELECTOR, CONFIG, CARD):
-        (folder / name).write_bytes((SHIPPED / name).read_bytes())
+        source = PRETRAINED if name == CARD else shipped()
+        (folder / name).write_bytes((source / name).read_bytes())
     return folder
 
 
@@ -108,15 +109,32 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(
 ):
     (tmp_path / "empty").mkdir()
     command(tmp_path / "again", trained.shipped)
-    assert capsys.readouterr().out.endswith("is the selector that ships\n")
+    assert capsys.readouterr().out.endswith("is the selector that ships for 'evidence'\n")
     command(tmp_path / "again", tmp_path / "empty", "--ship")  # trained already
     for name in (SELECTOR, CONFIG):
         assert (tmp_path / "empty" / name).read_bytes() == (trained.shipped / name).read_bytes()
     capsys.readouterr()
     before = digests(trained.shipped)
     command(tmp_path / "other", trained.shipped, "--seed", 1)
-    assert capsys.readouterr().out.endswith("is not the selector that ships, bit for bit\n")
+    told = capsys.readouterr().out
+    assert told.endswith("is not the selector that ships for 'evidence', bit for bit\n")
     assert digests(trained.shipped) == before  # nothing ships unless asked
+
+
+def test_the_statistic_is_the_default_s_or_the_one_that_is_asked_for(
+    trained, command, tmp_path, capsys
+):
+    stored = json.loads((trained.shipped / CONFIG).read_text("utf-8"))
+    assert stored["versions"]["statistic"] == "evidence"
+    assert stored["environment"] == {"carry": True, "discount": True}
+    command(tmp_path / "belief", tmp_path / "empty", "--statistic", "belief", "--ship")
+    assert "for 'belief'" in capsys.readouterr().out
+    stored = json.loads((tmp_path / "empty" / CONFIG).read_text("utf-8"))
+    assert stored["versions"]["statistic"] == "belief"
+    assert stored["environment"] == {"carry": False, "discount": False}
+    with pytest.raises(SystemExit):
+        command(tmp_path / "mean", tmp_path / "empty", "--statistic", "mean")
+    assert "invalid choice: 'mean'" in capsys.readouterr().err
 
 
 def test_a_finished_training_is_not_begun_again(trained, command, monkeypatch, capsys):
@@ -124,7 +142,7 @@ def test_a_finished_training_is_not_begun_again(trained, command, monkeypatch, c
     monkeypatch.setattr("agents.imitation.imitate_then_train", None)
     monkeypatch.setattr("_train_teacher.make_teacher", None)
     command(trained.out, trained.shipped)
-    assert capsys.readouterr().out.endswith("is the selector that ships\n")
+    assert capsys.readouterr().out.endswith("is the selector that ships for 'evidence'\n")
     assert digests(trained.out) == before
 
 

@@ -12,7 +12,7 @@ from small_training import SCRIPTS
 from agents.config import TrainingConfig, stored, stored_config
 from agents.run_folder import write_config
 from agents.training import simulated_routes
-from amusic_gym.routes.simulate import POPULATION
+from amusic_gym.routes.simulate import POPULATION, TOURS
 
 if str(SCRIPTS) not in sys.path:
     sys.path.insert(0, str(SCRIPTS))
@@ -29,8 +29,9 @@ def test_the_given_ranges_replace_those_of_the_population_and_no_others():
     config = TrainingConfig(simulation={"retimed": 0.0, "techniques": (3, 3)}, pool=4)
     population = config.population()
     assert (population.retimed, population.techniques) == (0.0, (3, 3))
-    assert population.queries == POPULATION.queries
-    assert TrainingConfig().population() == POPULATION
+    assert population.queries == TOURS.queries
+    assert TrainingConfig().population() == TOURS
+    assert TrainingConfig(statistic="belief").population() == POPULATION
     bank, _ = simulated_routes(config).sample(np.random.default_rng(0), 0)[:2]
     assert len(bank.techniques) == 3
 
