@@ -174,6 +174,13 @@ def sigmoid(logit: float) -> float:
 
 
 @inner
+def logit_of(probability: float) -> float:
+    """log(p / (1 − p)), from −30 to 30 as :func:`estimate` gives it."""
+    odds = max(probability, 1e-300) / (1.0 - probability)
+    return min(max(math.log(odds), -30.0), 30.0)
+
+
+@inner
 def estimate(calibration: Any, statistic: float, margin: float, has_rival: bool) -> float:
     """Logit of p̂ of a match: see amusic_gym.calibration."""
     s = math.asinh(statistic)
@@ -266,6 +273,8 @@ def coast(route: Any) -> None:
     route.margin = 0.0
     route.confidence *= IDLE_DECAY
     route.p_correct *= IDLE_DECAY
+    if route.prediction >= 0:
+        route.logit = logit_of(route.p_correct)
 
 
 @inner

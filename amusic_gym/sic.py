@@ -604,7 +604,7 @@ class SIC:
     @property
     def discount(self) -> float:
         """What MuSIC multiplies the statistic by, for the serial correlation of the rows so far."""
-        return float(discount_of(self._mark[0]))
+        return float(discount_of.py_func(self._mark.view(np.recarray)[0]))
 
     def _checked(self, row: ArrayLike) -> NDArray[np.float32]:
         scores = np.asarray(row, dtype=np.float32)

@@ -108,6 +108,7 @@ def sic(
     gamma: float = 1.0,
     statistic: str = "mean",
     z: Numbers = None,
+    carried: Sequence[int | None] = (),
 ) -> Sic:
     """SIC of one technique at frame q ("A-MuSIC", III-A).
 
@@ -120,12 +121,16 @@ def sic(
         gamma: The weight of a row delta frames ago is gamma ** delta.
         statistic: "mean" or "evidence".
         z: The z-scores of `scores`, where they are known already.
+        carried: Places that rank after the top K; None and those off the map are none.
     """
     if not ran[q]:
         raise ValueError(f"the technique did not run on frame {q}; SIC needs its row")
     if z is None:
         z = [standardise(scores[frame]) for frame in range(q + 1)]
     places = top_candidates(scores[q], candidates)
+    for place in carried:
+        if place is not None and place < len(scores[q]) and place not in places:
+            places.append(place)
     values = [diagonal_statistic(z, ran, q, c, past, gamma, statistic) for c in places]
     winner = first_best(values)
     return Sic(places[winner], values[winner], values[winner] - values[0], places, values)
@@ -139,8 +144,73 @@ class Music(NamedTuple):
 
     technique: int
     place: int
-    confidence: float
+    confidence: float  # the chosen technique's statistic, not discounted
     sics: list[Sic | None]
+    factors: Sequence[float] | None = None  # (T,) discounts; None: there are none
+
+    def compared(self, technique: int, statistic: float) -> float:
+        """A statistic of a technique as it is compared with those of other techniques."""
+        return statistic if self.factors is None else statistic * self.factors[technique]
+
+
+@dataclass
+class Memory:
+    """What candidates are carried on from."""
+
+    winners: list[dict[int, int]]  # (T,) frame on which the technique ran -> its match
+    fused: dict[int, int] = field(default_factory=dict)  # frame on which any ran -> prediction
+
+    @classmethod
+    def of(cls, techniques: int) -> Memory:
+        """That of a route on which nothing ran yet."""
+        return cls([{} for _ in range(techniques)])
+
+    def note(self, result: Music, q: int) -> None:
+        """Keep what MuSIC said at a frame."""
+        self.fused[q] = result.place
+        self.note_winners(result, q)
+
+    def note_winners(self, result: Music, q: int) -> None:
+        """Keep only the techniques' own matches, of a selection that looks back."""
+        for technique, found in enumerate(result.sics):
+            if found is not None:
+                self.winners[technique][q] = found.place
+
+
+def moved_on(places: dict[int, int], q: int) -> int | None:
+    """The last place before frame q, one place further with every frame since; or None."""
+    for past in range(q - 1, -1, -1):
+        if past in places:
+            return places[past] + (q - past)
+    return None
+
+
+SERIAL_FORGETTING = 0.98
+SERIAL_PRIOR = 0.5
+SERIAL_PRIOR_ROWS = 10
+SERIAL_MOST = 0.999
+
+
+def row_correlation(before: Numbers, now: Numbers) -> float:
+    """How alike two z-scored rows are, the first moved on by one place."""
+    if len(now) == 1:
+        return 0.0
+    products = [before[place - 1] * now[place] for place in range(1, len(now))]
+    return math.fsum(products) / len(products)
+
+
+def serial_discount(z: Numbers, ran: Numbers, q: int) -> float:
+    """The factor on a technique's statistic for the serial correlation of its rows up to q."""
+    pairs = [frame for frame in range(1, q + 1) if ran[frame - 1] and ran[frame]]
+    total, weights = [], []
+    for number, frame in enumerate(pairs):
+        weight = SERIAL_FORGETTING ** (len(pairs) - 1 - number)
+        total.append(weight * row_correlation(z[frame - 1], z[frame]))
+        weights.append(weight)
+    prior = SERIAL_PRIOR_ROWS * SERIAL_FORGETTING ** len(pairs)
+    rho = math.fsum([*total, prior * SERIAL_PRIOR]) / math.fsum([*weights, prior])
+    rho = min(max(rho, 0.0), SERIAL_MOST)
+    return math.sqrt((1.0 - rho) / (1.0 + rho))
 
 
 def column(ran: Numbers, technique: int) -> list[bool]:
@@ -157,11 +227,18 @@ def music(
     gamma: float = 1.0,
     statistic: str = "mean",
     z: Numbers = None,
+    carry: bool = False,
+    discount: bool = False,
+    memory: Memory | None = None,
 ) -> Music:
     """MuSIC at frame q among the techniques that ran on it ("A-MuSIC", III-B).
 
-    `scores` is (T, Q, R), `ran` is (Q, T) and `z` is None or the z-scores of `scores`.
+    `scores` is (T, Q, R), `ran` is (Q, T) and `z` is None or the z-scores of `scores`. `carry`:
+    what `memory` knows from before q is carried on. `discount`: statistics of techniques whose
+    rows are alike count less against those of others.
     """
+    if z is None and discount:
+        z = standardise_bank(scores)
     sics: list[Sic | None] = []
     for technique in range(len(scores)):
         if not ran[q][technique]:
@@ -169,13 +246,23 @@ def music(
             continue
         known = None if z is None else z[technique]
         history = column(ran, technique)
-        sics.append(sic(scores[technique], history, q, candidates, past, gamma, statistic, known))
+        carried: list[int | None] = []
+        if carry and memory is not None:
+            carried = [moved_on(memory.winners[technique], q), moved_on(memory.fused, q)]
+        settings = (candidates, past, gamma, statistic, known, carried)
+        sics.append(sic(scores[technique], history, q, *settings))
     present = [technique for technique, found in enumerate(sics) if found is not None]
     if not present:
         raise ValueError(f"no technique ran on frame {q}; MuSIC needs one")
+    factors = None
+    if discount:
+        factors = [serial_discount(z[t], column(ran, t), q) for t in range(len(scores))]
     found = [result for result in sics if result is not None]
-    best = first_best([result.statistic for result in found])
-    return Music(present[best], found[best].place, found[best].statistic, sics)
+    unfused = Music(-1, -1, math.nan, sics, factors)
+    best = first_best(
+        [unfused.compared(t, one.statistic) for t, one in zip(present, found, strict=True)]
+    )
+    return Music(present[best], found[best].place, found[best].statistic, sics, factors)
 
 
 def margin(result: Music, tolerance: int) -> float | None:
@@ -185,13 +272,14 @@ def margin(result: Music, tolerance: int) -> float | None:
     the winner.
     """
     rivals = []
-    for found in result.sics:
+    for technique, found in enumerate(result.sics):
         if found is None:
             continue
         for place, value in zip(found.candidates, found.statistics, strict=True):
             if abs(place - result.place) > tolerance:
-                rivals.append(value)
-    return result.confidence - max(rivals) if rivals else None
+                rivals.append(result.compared(technique, value))
+    best = result.compared(result.technique, result.confidence)
+    return best - max(rivals) if rivals else None
 
 
 # --------------------------------------------------------------------------------- A-MuSIC
@@ -218,6 +306,7 @@ class Route:
     chosen: list[int] = field(default_factory=list)
     ran: list[list[bool]] = field(default_factory=list)  # (Q, T) on the frame itself
     selections: list[Selection] = field(default_factory=list)
+    results: list[Music | None] = field(default_factory=list)  # MuSIC's, None where nothing ran
     p_values: dict[int, float] = field(default_factory=dict)  # frame after the block -> p
 
     def runs(self) -> list[int]:
@@ -274,14 +363,17 @@ def amusic(
     block: int = 10,
     share: float = 0.7,
     alpha: float = 0.05,
+    carry: bool = False,
+    discount: bool = False,
 ) -> Route:
     """The whole A-MuSIC rule ("A-MuSIC", III-C) on scores (T, Q, R).
 
     `block` is M, `share` is E.
     """
     z = standardise_bank(scores)
-    settings = (candidates, past, gamma, statistic, z)
+    settings = (candidates, past, gamma, statistic, z, carry, discount)
     techniques, queries = len(scores), len(scores[0])
+    memory = Memory.of(techniques)
     exists = [[False] * techniques for _ in range(queries)]  # rows in the history
     route = Route()
     active = list(range(techniques))
@@ -297,13 +389,14 @@ def amusic(
                 rejected = route.p_values[q] < alpha
                 before = now
             if rejected:
-                selection = select(scores, exists, frames, settings, share)
+                selection = select(scores, exists, frames, settings, share, memory)
                 route.selections.append(selection)
                 active = selection.chosen
                 before = [selection.corrections[m][t] for t in active for m in range(block)]
         for technique in active:
             exists[q][technique] = True
-        result = music(scores, exists, q, *settings)
+        result = music(scores, exists, q, *settings, memory)
+        memory.note(result, q)
         corrections.append([math.nan if s is None else s.correction for s in result.sics])
         route.predictions.append(result.place)
         route.confidences.append(result.confidence)
@@ -319,9 +412,17 @@ def select(
     frames: list[int],
     settings: tuple[Any, ...],
     share: float,
+    memory: Memory | None = None,
 ) -> Selection:
-    """Selection over the frames of a block; marks the after-the-fact rows in `exists`."""
+    """Selection over the frames of a block; marks the after-the-fact rows in `exists`.
+
+    What is carried on: the predictions that were given, and the matches of the techniques as they
+    are now that they have all run, which `memory` keeps.
+    """
     techniques = len(scores)
+    memory = memory or Memory.of(techniques)
+    if len(settings) == 5:
+        settings = (*settings, False, False)
     late_runs = [0] * techniques
     for frame in frames:
         for technique in range(techniques):
@@ -331,7 +432,8 @@ def select(
     tally = [0] * techniques
     corrections = []
     for frame in frames:
-        result = music(scores, exists, frame, *settings)  # walks back only: rows up to itself
+        result = music(scores, exists, frame, *settings, memory)  # rows up to itself only
+        memory.note_winners(result, frame)
         tally[result.technique] += 1
         corrections.append([s.correction for s in result.sics if s is not None])
     chosen = coverage(tally, len(frames), share)
@@ -348,13 +450,17 @@ def always(
     past: int = 1000,
     gamma: float = 1.0,
     statistic: str = "mean",
+    carry: bool = False,
+    discount: bool = False,
 ) -> Route:
     """MuSIC over the same techniques on every frame; all of them, a subset, or one."""
     z = standardise_bank(scores)
+    settings = (candidates, past, gamma, statistic, z, carry, discount, Memory.of(len(scores)))
     pattern = [[t in active for t in range(len(scores))] for _ in range(len(scores[0]))]
     route = Route(ran=pattern)
     for q in range(len(pattern)):
-        result = music(scores, pattern, q, candidates, past, gamma, statistic, z)
+        result = music(scores, pattern, q, *settings)
+        settings[-1].note(result, q)
         route.predictions.append(result.place)
         route.confidences.append(result.confidence)
         route.similarities.append(z[result.technique][q][result.place])

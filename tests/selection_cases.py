@@ -1,13 +1,39 @@
-"""What must come of actions with a re-select bit, as explicit loops, and the comparison with it."""
+"""What must come of a route's actions, as explicit loops, and the comparison with it."""
 
 from __future__ import annotations
+
+import math
+from typing import Any
 
 import numpy as np
 import oracle
 
 from amusic_gym.bank import ScoreBank
+from amusic_gym.calibration import coefficients
+from amusic_gym.dynamics import IDLE_DECAY
+from amusic_gym.settings import SICSettings
 
 CLOSE = {"rtol": 1e-9, "atol": 1e-9}
+
+
+def as_arguments(chosen: SICSettings) -> tuple[Any, ...]:
+    """In the order of the loops of one technique."""
+    return chosen.candidates, chosen.history, chosen.gamma, chosen.statistic
+
+
+def as_settings(chosen: SICSettings, z: Any) -> tuple[Any, ...]:
+    """In the order of the loops of several techniques."""
+    return *as_arguments(chosen), z, chosen.carry, chosen.discount
+
+
+def estimated(statistic: str, confidence: float, margin: float | None) -> float:
+    """p̂ of a fused match of that discounted statistic; no margin where there is no rival."""
+    b = coefficients(statistic)
+    if margin is None:
+        logit = b[3] + b[4] * math.asinh(confidence)
+    else:
+        logit = b[0] + b[1] * math.asinh(confidence) + b[2] * math.asinh(margin)
+    return 1.0 / (1.0 + math.exp(-min(30.0, max(-30.0, logit))))
 
 
 def assert_selection(selection: dict, expected: oracle.Selection) -> None:
@@ -28,11 +54,12 @@ def assert_route(infos: list[dict], expected: oracle.Route, seconds) -> None:
     similarities = [info["similarity"] for info in infos]
     np.testing.assert_allclose(similarities, expected.similarities, **CLOSE)
     assert [info["technique"] for info in infos] == expected.chosen
-    assert [info["ran"] for info in infos] == expected.ran
+    assert [list(info["ran"]) for info in infos] == expected.ran
     selections = {selection.frame: selection for selection in expected.selections}
     for frame, info in enumerate(infos):
-        assert info["selection"]["happened"] == (frame in selections)
         late = np.zeros(len(seconds))
+        if "selection" in info:
+            assert info["selection"]["happened"] == (frame in selections)
         if frame in selections:
             assert_selection(info["selection"], selections[frame])
             late += selections[frame].late_runs
@@ -41,26 +68,67 @@ def assert_route(infos: list[dict], expected: oracle.Route, seconds) -> None:
     np.testing.assert_allclose(total, np.dot(expected.runs(), seconds), **CLOSE)
 
 
-def follow(bank: ScoreBank, actions, block: int, share: float, sic) -> oracle.Route:
-    """What must come of actions with a re-select bit, as explicit loops."""
-    z = oracle.standardise_bank(bank.scores)
-    settings = (*sic, z)
-    width = len(bank.techniques)
-    exists = [[False] * width for _ in range(bank.queries)]
-    route = oracle.Route()
+def assert_details(infos: list[dict], expected: oracle.Route, tolerance: int, statistic: str):
+    """Every technique's match, the margin and p̂ of each frame are the same, too."""
+    p_correct = 0.0
+    for info, result in zip(infos, expected.results, strict=True):
+        assert info["idle"] == (result is None)
+        margin = oracle.margin(result, tolerance) if result else None
+        if result:
+            best = result.compared(result.technique, result.confidence)
+            p_correct = estimated(statistic, best, margin)
+        else:
+            p_correct *= IDLE_DECAY
+        np.testing.assert_allclose(info["margin"], margin or 0.0, **CLOSE)
+        np.testing.assert_allclose(info["p_correct"], p_correct, **CLOSE)
+        for t in range(len(info["ran"])):
+            own = [info["place"][t], info["statistic"][t], info["correction"][t]]
+            found = result.sics[t] if result else None
+            np.testing.assert_allclose(own, found[:3] if found else [0, 0, 0], **CLOSE)
+
+
+def follow(
+    bank: ScoreBank,
+    actions,
+    chosen: SICSettings,
+    *,
+    block: int = 0,
+    share: float = 0.7,
+    idle: bool = False,
+    start: int = 0,
+) -> oracle.Route:
+    """What must come of actions, with a re-select bit where there is a block, as explicit loops."""
+    scores = bank.scores[:, start:]
+    settings = as_settings(chosen, oracle.standardise_bank(scores))
+    z, width, queries = settings[4], *scores.shape[:2]
+    exists = [[False] * width for _ in range(queries)]
+    memory, route = oracle.Memory.of(width), oracle.Route()
     for q, action in enumerate(actions):
-        active = np.flatnonzero(action[:-1]).tolist()
-        if action[-1] and q > 0:
+        active = np.flatnonzero(action[:width]).tolist()
+        if block and action[-1] and q > 0:
             frames = list(range(max(0, q - block), q))
-            route.selections.append(oracle.select(bank.scores, exists, frames, settings, share))
-            active = route.selections[-1].chosen
-        active = active or [int(np.argmin(bank.seconds))]
+            selection = oracle.select(scores, exists, frames, settings, share, memory)
+            route.selections.append(selection)
+            active = selection.chosen
+        if not active and not idle:
+            active = [int(np.argmin(bank.seconds))]
         for t in active:
             exists[q][t] = True
-        result = oracle.music(bank.scores, exists, q, *settings)
+        route.ran.append(list(exists[q]))
+        if not active:
+            moved = oracle.moved_on(memory.fused, q)
+            route.predictions.append(-1 if moved is None else min(moved, bank.references - 1))
+            before = route.confidences[-1] if route.confidences else 0.0
+            route.confidences.append(IDLE_DECAY * before)
+            route.similarities.append(0.0)
+            route.chosen.append(-1)
+            route.results.append(None)
+            continue
+        result = oracle.music(scores, exists, q, *settings, memory)
+        memory.note(result, q)
         route.predictions.append(result.place)
         route.confidences.append(result.confidence)
         route.similarities.append(z[result.technique][q][result.place])
         route.chosen.append(result.technique)
-        route.ran.append(list(exists[q]))
+        route.results.append(result)
     return route

@@ -9,18 +9,23 @@ import pytest
 from env_cases import noisy_bank, random_bank
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from selection_cases import CLOSE, assert_route, follow
+from selection_cases import CLOSE, assert_details, assert_route, follow
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.env import TechniqueSelectionEnv
 from amusic_gym.rollout import Job, rollout, rollouts
-from amusic_gym.settings import STATISTICS
+from amusic_gym.settings import STATISTICS, SICSettings
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 from baselines.amusic import AMuSIC, differ
 
 techniques = st.integers(1, 16)
 blocks = st.integers(1, 7)
 shares = st.sampled_from([0.1, 0.3, 0.5, 0.7, 0.9, 1.0])
+
+
+def both(on: bool) -> dict[str, bool]:
+    """Whether there are carried candidates and a discount, which there are with the evidence."""
+    return {"carry": on, "discount": on}
 
 
 def drive(policy: AMuSIC, banks: list[ScoreBank], **arguments) -> list[list[dict]]:
@@ -70,23 +75,26 @@ def route_info(info: dict, i: int, width: int) -> dict:
     shares,
     st.sampled_from([0.05, 0.3, 0.8]),
     st.tuples(st.integers(1, 12), st.sampled_from([3, 1000]), st.sampled_from([1.0, 0.9])),
+    st.tuples(st.booleans(), st.booleans()),  # carry and discount
 )
-def test_rule_is_the_loops(seed, widths, statistic, block, share, alpha, sic):
+def test_rule_is_the_loops(seed, widths, statistic, block, share, alpha, sic, ours):
     rng = np.random.default_rng(seed)
     sizes = [(width, *rng.integers(1, 30, 2)) for width in widths]
     banks = [noisy_bank(rng, *size, levels=rng.integers(2, 9)) for size in sizes]
     policy = AMuSIC(statistic, block, share, alpha)
     candidates, history, gamma = sic
-    found = drive(policy, banks, candidates=candidates, history=history, gamma=gamma)
+    settings = {"candidates": candidates, "history": history, "gamma": gamma}
+    found = drive(policy, banks, **settings, carry=ours[0], discount=ours[1])
     for bank, infos in zip(banks, found, strict=True):
-        expected = oracle.amusic(bank.scores, *sic, statistic, block, share, alpha)
+        expected = oracle.amusic(bank.scores, *sic, statistic, block, share, alpha, *ours)
         assert_route(infos, expected, bank.seconds)
 
 
 @pytest.mark.parametrize("statistic", oracle.STATISTICS)
 def test_rule_reselects_on_a_smooth_route(statistic):
     bank = random_bank(4, techniques=5, queries=90, references=100)
-    expected = oracle.amusic(bank.scores, statistic=statistic, alpha=0.3)
+    ours = both(statistic == "evidence")
+    expected = oracle.amusic(bank.scores, statistic=statistic, alpha=0.3, **ours)
     assert expected.reselections() >= 2
     assert any(len(selection.chosen) < 5 for selection in expected.selections)
     [infos] = drive(AMuSIC(statistic, alpha=0.3), [bank])
@@ -125,7 +133,8 @@ def test_traces_of_several_routes_are_the_loops():
         together = rollouts(policy, [Job(bank) for bank in banks], name="amusic")
         for bank, trace in zip(banks, together, strict=True):
             alone = rollout(policy, bank, name="amusic", statistic="mean")
-            expected = oracle.amusic(bank.scores, statistic=statistic)
+            ours = both(statistic == "evidence")
+            expected = oracle.amusic(bank.scores, statistic=statistic, **ours)
             for found in (trace, alone):
                 assert found.statistic == statistic
                 assert found.predictions.tolist() == expected.predictions
@@ -176,7 +185,8 @@ def test_39_a_standing_robot_is_no_change(statistic, gamma):
         bank = ScoreBank(
             rows, list("ABCD"), np.ones(4), tolerance=1, ground_truth=np.zeros(60, int)
         )
-        expected = oracle.amusic(bank.scores, 10, 5, gamma, statistic)
+        ours = both(statistic == "evidence")
+        expected = oracle.amusic(bank.scores, 10, 5, gamma, statistic, **ours)
         policy = AMuSIC(statistic)
         [infos] = drive(policy, [bank], candidates=10, history=5, gamma=gamma)
         assert_route(infos, expected, bank.seconds)
@@ -191,11 +201,14 @@ def test_39_a_standing_robot_is_no_change(statistic, gamma):
     techniques,
     blocks,
     shares,
-    st.tuples(
-        st.integers(1, 12),
-        st.sampled_from([0, 3, 1000]),
-        st.sampled_from([1.0, 0.9]),
-        st.sampled_from(oracle.STATISTICS),
+    st.builds(
+        SICSettings,
+        statistic=st.sampled_from(oracle.STATISTICS),
+        candidates=st.integers(1, 12),
+        history=st.sampled_from([0, 3, 1000]),
+        gamma=st.sampled_from([1.0, 0.9]),
+        carry=st.booleans(),
+        discount=st.booleans(),
     ),
     st.floats(0.05, 0.9),
     st.floats(0.05, 0.6),
@@ -205,34 +218,24 @@ def test_any_use_of_the_bit_is_the_loops(seed, width, block, share, sic, activit
     bank = noisy_bank(rng, width, *rng.integers(1, 25, 2), levels=rng.integers(2, 9))
     actions = rng.random((bank.queries, width + 1)) < activity
     actions[:, -1] = rng.random(bank.queries) < reselect
-    candidates, history, gamma, statistic = sic
-    env = TechniqueSelectionEnv(
-        bank,
-        statistic=statistic,
-        candidates=candidates,
-        history=history,
-        gamma=gamma,
-        reselection=block,
-        coverage=share,
-    )
+    env = TechniqueSelectionEnv(bank, **vars(sic), reselection=block, coverage=share)
     env.reset()
-    infos = []
-    for action in actions:
-        info = env.step(action)[4]
-        infos.append({**info, "ran": info["ran"].tolist()})
-    assert_route(infos, follow(bank, actions, block, share, sic), bank.seconds)
+    infos = [env.step(action)[4] for action in actions]
+    expected = follow(bank, actions, sic, block=block, share=share)
+    assert_route(infos, expected, bank.seconds)
+    assert_details(infos, expected, bank.tolerance, sic.statistic)
 
 
 def test_selections_on_a_route_longer_than_the_room_of_the_sums():
     rng = np.random.default_rng(5)
-    queries = 1100
+    queries, sic = 1100, SICSettings("mean", history=50, carry=True)
     bank = noisy_bank(rng, 3, queries, 8)
     actions = rng.random((queries, 4)) < 0.4
     actions[:, -1] = rng.random(queries) < 0.02
-    env = TechniqueSelectionEnv(bank, reselection=6, history=50, statistic="mean")
+    env = TechniqueSelectionEnv(bank, **vars(sic), reselection=6)
     env.reset()
     infos = [env.step(action)[4] for action in actions]
-    expected = follow(bank, actions, 6, 0.7, (50, 50, 1.0, "mean"))
+    expected = follow(bank, actions, sic, block=6)
     assert [info["prediction"] for info in infos] == expected.predictions
     confidences = [info["confidence"] for info in infos]
     np.testing.assert_allclose(confidences, expected.confidences, **CLOSE)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from env_cases import noisy_bank
-from selection_cases import assert_route, follow
+from selection_cases import assert_details, assert_route, follow
 
 from amusic_gym import sic
 from amusic_gym.bank import ScoreBank
 from amusic_gym.env import TechniqueSelectionEnv
+from amusic_gym.settings import SICSettings
 
 FRAMES = 10_000
 QUERIES, PLACES, WIDTH = 40, 16, 3
@@ -40,27 +41,25 @@ def levels(rng: np.random.Generator) -> ScoreBank:
 
 
 def check(make, frames, statistic, gamma, history):
-    """Drive random routes and compare every frame with the loops."""
+    """Drive random routes and compare every frame with the loops.
+
+    Of four routes that come after each other, each carries places on, or discounts, or both, or
+    neither.
+    """
     rng = np.random.default_rng(17)
     for number in range(frames // QUERIES):
-        bank, candidates = make(rng), (10, 50)[number % 2]
+        carry, discount, candidates = number // 2 % 2 == 1, number % 2 == 1, (10, 50)[number % 3 % 2]
+        chosen = SICSettings(statistic, candidates, history, gamma, carry, discount)
+        bank = make(rng)
         actions = rng.random((QUERIES, WIDTH + 1)) < rng.choice([0.2, 0.5, 0.9])
         actions[:, -1] = rng.random(QUERIES) < 0.04
-        env = TechniqueSelectionEnv(
-            bank,
-            statistic=statistic,
-            candidates=candidates,
-            history=history,
-            gamma=gamma,
-            reselection=6,
-        )
+        idle = bool(rng.random() < 0.3)
+        env = TechniqueSelectionEnv(bank, **vars(chosen), reselection=6, allow_idle=idle)
         env.reset()
-        infos = []
-        for action in actions:
-            info = env.step(action)[4]
-            infos.append({**info, "ran": info["ran"].tolist()})
-        chosen = (candidates, history, gamma, statistic)
-        assert_route(infos, follow(bank, actions, 6, 0.7, chosen), bank.seconds)
+        infos = [env.step(action)[4] for action in actions]
+        expected = follow(bank, actions, chosen, block=6, idle=idle)
+        assert_route(infos, expected, bank.seconds)
+        assert_details(infos, expected, bank.tolerance, statistic)
 
 
 @pytest.mark.parametrize("make", [plain, aliased, levels])

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import math
-
 import golden
 import numpy as np
 import oracle
 import pytest
-from env_cases import infos_of, noisy_bank
+from env_cases import infos_of, noisy_bank, random_bank
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from selection_cases import CLOSE, as_arguments, as_settings, assert_details, assert_route, follow
 
+from amusic_gym import sic as kernels
 from amusic_gym.bank import ScoreBank
-from amusic_gym.calibration import coefficients
 from amusic_gym.env import TechniqueSelectionEnv
 from amusic_gym.settings import SICSettings
 from amusic_gym.sic import SIC, SLACK
 
-CLOSE = {"rtol": 1e-9, "atol": 1e-9}
+PLAIN = {"carry": False, "discount": False}
+NOWHERE = np.full(60, -1)
 
 sic_settings = st.builds(
     SICSettings,
@@ -26,13 +26,10 @@ sic_settings = st.builds(
     candidates=st.integers(1, 20),
     history=st.one_of(st.integers(0, 8), st.just(1000)),
     gamma=st.sampled_from([1.0, 0.95, 0.5, 0.05]),
+    carry=st.booleans(),
+    discount=st.booleans(),
 )
 sizes = st.tuples(st.integers(1, 5), st.integers(1, 18), st.integers(1, 16))  # T, Q, R
-
-
-def as_arguments(chosen: SICSettings) -> tuple[int, int, float, str]:
-    """In the order of the oracle."""
-    return chosen.candidates, chosen.history, chosen.gamma, chosen.statistic
 
 
 def walk(rows, ran, chosen: SICSettings) -> list[tuple[int, float, float] | None]:
@@ -46,16 +43,6 @@ def walk(rows, ran, chosen: SICSettings) -> list[tuple[int, float, float] | None
     return found
 
 
-def estimated(statistic: str, confidence: float, margin: float | None) -> float:
-    """p̂ of a fused match; no margin where there is no rival."""
-    b = coefficients(statistic)
-    if margin is None:
-        logit = b[3] + b[4] * math.asinh(confidence)
-    else:
-        logit = b[0] + b[1] * math.asinh(confidence) + b[2] * math.asinh(margin)
-    return 1.0 / (1.0 + math.exp(-min(30.0, max(-30.0, logit))))
-
-
 # ---- values worked out by hand -----------------------------------------------------------
 
 
@@ -63,7 +50,7 @@ def estimated(statistic: str, confidence: float, margin: float | None) -> float:
 @pytest.mark.parametrize("technique", golden.TECHNIQUES)
 def test_golden_corrections(technique, statistic):
     rows = golden.SCORES[golden.TECHNIQUES.index(technique)]
-    found = walk(rows, [1] * 5, SICSettings(statistic, golden.CANDIDATES))
+    found = walk(rows, [1] * 5, SICSettings(statistic, golden.CANDIDATES, **PLAIN))
     np.testing.assert_allclose(found, golden.SIC[statistic][technique], **CLOSE)
 
 
@@ -71,14 +58,15 @@ def test_golden_corrections(technique, statistic):
 @pytest.mark.parametrize("case", golden.OTHER_SETTINGS)
 def test_golden_other_settings(case, statistic):
     history, gamma, ran = case
-    chosen = SICSettings(statistic, golden.CANDIDATES, history, gamma)
+    chosen = SICSettings(statistic, golden.CANDIDATES, history, gamma, **PLAIN)
     found = walk(golden.SCORES[0], ran, chosen)
     np.testing.assert_allclose(found[4], golden.OTHER_SETTINGS[case][statistic], **CLOSE)
 
 
 @pytest.mark.parametrize("statistic", oracle.STATISTICS)
 def test_golden_fusion(tiny_bank, statistic):
-    env = TechniqueSelectionEnv(tiny_bank, statistic=statistic, candidates=golden.CANDIDATES)
+    settings = {"statistic": statistic, "candidates": golden.CANDIDATES, **PLAIN}
+    env = TechniqueSelectionEnv(tiny_bank, **settings)
     infos = infos_of(env, np.ones((5, 3)))
     found = [[i[k] for k in ("technique", "prediction", "confidence", "margin")] for i in infos]
     np.testing.assert_allclose(found, golden.MUSIC[statistic], **CLOSE)
@@ -92,6 +80,21 @@ def test_golden_fusion(tiny_bank, statistic):
 # ---- explicit loops ----------------------------------------------------------------------
 
 
+def loops(rows, ran, chosen: SICSettings, fused=None):
+    """What the loops say of one technique, frame by frame; ``fused``: frame -> prediction."""
+    z = [oracle.standardise(row) for row in rows]
+    own: dict[int, int] = {}
+    for q, runs in enumerate(ran):
+        if not runs:
+            yield None
+            continue
+        carried = [oracle.moved_on(own, q), oracle.moved_on(fused or {}, q)]
+        places = carried if chosen.carry else []
+        found = oracle.sic(rows, ran, q, *as_arguments(chosen), z=z, carried=places)
+        own[q] = found.place
+        yield found
+
+
 @settings(max_examples=200, deadline=None)
 @given(st.integers(0, 2**32), sizes, st.integers(1, 5), sic_settings, st.floats(0.2, 1.0))
 @example(0, (1, 18, 16), 1, SICSettings("mean", 20, 3, 0.5), 0.5)
@@ -99,39 +102,99 @@ def test_class_is_the_loops(seed, size, levels, chosen, activity):
     rng = np.random.default_rng(seed)
     rows = noisy_bank(rng, 1, *size[1:], levels).scores[0]
     ran = rng.random(len(rows)) < activity
-    for q, found in enumerate(walk(rows, ran, chosen)):
-        if ran[q]:
-            expected = oracle.sic(rows, ran, q, *as_arguments(chosen))
-            assert found is not None
+    for found, expected in zip(walk(rows, ran, chosen), loops(rows, ran, chosen), strict=True):
+        assert (found is None) == (expected is None)
+        if found:
             assert found[0] == expected.place
             np.testing.assert_allclose(found, expected[:3], **CLOSE)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.integers(0, 2**32), sizes, st.integers(1, 5), sic_settings, st.floats(0.2, 1.0))
-def test_environment_is_the_loops(seed, size, levels, chosen, activity):
+def test_class_with_predictions_of_all_techniques_is_the_loops(
+    seed, size, levels, chosen, activity
+):
+    """With any prediction, on the map and off it; its discount is that of the loops, too."""
+    rng = np.random.default_rng(seed)
+    rows = noisy_bank(rng, 1, *size[1:], levels).scores[0]
+    ran = rng.random(len(rows)) < activity
+    given_on = np.flatnonzero(rng.random(len(rows)) < 0.7).tolist()
+    fused = {q: int(rng.integers(rows.shape[1])) for q in given_on}
+    sic, z = SIC(rows.shape[1], chosen), [oracle.standardise(row) for row in rows]
+    for q, expected in enumerate(loops(rows, ran, chosen, fused)):
+        if expected is None:
+            sic.skip()
+            continue
+        place = oracle.moved_on(fused, q)
+        place = -1 if place is None else place
+        seen = sic.preview(rows[q], fused=place)
+        match = sic.correct(rows[q], fused=place)
+        assert seen == match
+        assert match.place == expected.place
+        np.testing.assert_allclose(match, expected[:3], **CLOSE)
+        discount = oracle.serial_discount(z, ran, q) if chosen.discount else 1.0
+        np.testing.assert_allclose(sic.discount, discount, **CLOSE)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.integers(0, 2**32),
+    sizes,
+    st.integers(1, 5),
+    sic_settings,
+    st.floats(0.1, 1.0),
+    st.one_of(st.none(), st.integers(1, 7)),
+    st.booleans(),
+)
+def test_environment_is_the_loops(seed, size, levels, chosen, activity, block, idle):
+    """With any activity, idle frames, selections that look back, and a start anywhere."""
     rng = np.random.default_rng(seed)
     bank = noisy_bank(rng, *size, levels)
     start = int(rng.integers(bank.queries))
-    scores = bank.scores[:, start:]
-    ran = rng.random((scores.shape[1], size[0])) < activity
-    ran[~ran.any(axis=1), rng.integers(size[0])] = True
-    env = TechniqueSelectionEnv(bank, **vars(chosen))
-    z = oracle.standardise_bank(scores)
-    for q, info in enumerate(infos_of(env, ran, options={"start": start})):
-        expected = oracle.music(scores, ran, q, *as_arguments(chosen), z=z)
-        assert info["ran"].tolist() == ran[q].tolist()
-        assert (info["technique"], info["prediction"]) == (expected.technique, expected.place)
-        np.testing.assert_allclose(info["confidence"], expected.confidence, **CLOSE)
-        similarity = z[expected.technique][q][expected.place]
-        np.testing.assert_allclose(info["similarity"], similarity, **CLOSE)
-        margin = oracle.margin(expected, bank.tolerance)
-        np.testing.assert_allclose(info["margin"], margin or 0.0, **CLOSE)
-        for t, sic in enumerate(expected.sics):
-            own = [info["place"][t], info["statistic"][t], info["correction"][t]]
-            np.testing.assert_allclose(own, sic[:3] if sic else [0, 0, 0], **CLOSE)
-        estimate = estimated(chosen.statistic, expected.confidence, margin)
-        np.testing.assert_allclose(info["p_correct"], estimate, **CLOSE)
+    actions = rng.random((bank.queries - start, size[0] + (block is not None))) < activity
+    if block:
+        actions[:, -1] = rng.random(len(actions)) < 0.3
+    arguments = {"reselection": block, "coverage": 0.6, "allow_idle": idle}
+    env = TechniqueSelectionEnv(bank, **vars(chosen), **arguments)
+    infos = infos_of(env, actions, options={"start": start})
+    expected = follow(
+        bank, actions, chosen, block=block or 0, share=0.6, idle=idle, start=start
+    )
+    assert_route(infos, expected, bank.seconds)
+    assert_details(infos, expected, bank.tolerance, chosen.statistic)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32), sic_settings, st.integers(1, 4), st.floats(0.1, 0.9))
+def test_smooth_routes_are_the_loops(seed, chosen, block, activity):
+    """Rows that resemble each other, as those of a drive do: every discount is another."""
+    rng = np.random.default_rng(seed)
+    bank = random_bank(seed, queries=30, references=35)
+    actions = rng.random((30, 4)) < activity
+    actions[:, -1] = rng.random(30) < 0.15
+    env = TechniqueSelectionEnv(bank, **vars(chosen), reselection=block, allow_idle=True)
+    infos = infos_of(env, actions)
+    expected = follow(bank, actions, chosen, block=block, idle=True)
+    assert_route(infos, expected, bank.seconds)
+    assert_details(infos, expected, bank.tolerance, chosen.statistic)
+
+
+@pytest.mark.parametrize("history", [3, 12, 1000])
+@pytest.mark.parametrize("carry", [False, True])
+def test_rows_that_wait_carry_and_discount_alike(monkeypatch, carry, history):
+    monkeypatch.setattr(kernels, "LARGE", 1)
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        bank = random_bank(seed, queries=60, references=25, ground_truth=NOWHERE)
+        actions = rng.random((60, 4)) < rng.choice([0.2, 0.6, 0.95])
+        actions[:, -1] = rng.random(60) < 0.1
+        chosen = SICSettings("evidence", 5, history, carry=carry)
+        env = TechniqueSelectionEnv(bank, **vars(chosen), reselection=4, allow_idle=True)
+        infos = infos_of(env, actions)
+        assert env.task.episodes.state.marks["depth"].all()
+        expected = follow(bank, actions, chosen, block=4, idle=True)
+        assert_route(infos, expected, bank.seconds)
+        assert_details(infos, expected, bank.tolerance, "evidence")
 
 
 LONG = [  # references, F, gamma, share of the frames it runs on
@@ -145,24 +208,28 @@ LONG = [  # references, F, gamma, share of the frames it runs on
 ]
 
 
+@pytest.mark.parametrize("carry", [False, True])
 @pytest.mark.parametrize("statistic", oracle.STATISTICS)
 @pytest.mark.parametrize("case", LONG)
-def test_routes_longer_than_the_room_of_the_sums(case, statistic):
+def test_routes_longer_than_the_room_of_the_sums(case, statistic, carry):
     references, history, gamma, activity = case
     queries = 2 * SLACK + 200
     rng = np.random.default_rng(references)
     bank = noisy_bank(rng, 1, queries, references, levels=9)
     ran = rng.random(queries) < activity
     ran[0] = True
-    chosen = SICSettings(statistic, 6, history, gamma)
+    chosen = SICSettings(statistic, 6, history, gamma, carry)
     found = walk(bank.scores[0], ran, chosen)
     around = {k * (SLACK + offset) for k in (1, 2) for offset in range(-3, 4)}
     samples = around | set(rng.integers(0, queries, 40).tolist()) | {queries - 1}
     z = [oracle.standardise(row) for row in bank.scores[0]]
+    own = {q: match[0] for q, match in enumerate(found) if match}
     compared = 0
     for q in samples | set(np.flatnonzero(ran)[-20:].tolist()):
         if q < queries and ran[q]:
-            expected = oracle.sic(bank.scores[0], ran, q, *as_arguments(chosen), z=z)
+            carried = [oracle.moved_on(own, q)] if chosen.carry else []
+            known = (bank.scores[0], ran, q, *as_arguments(chosen), z, carried)
+            expected = oracle.sic(*known)
             np.testing.assert_allclose(found[q], expected[:3], rtol=1e-8, atol=1e-8)
             compared += 1
     assert compared >= 10
@@ -174,10 +241,16 @@ def test_long_route_inside_the_environment():
     bank = noisy_bank(rng, 2, queries, 9)
     ran = rng.random((queries, 2)) < 0.5
     ran[~ran.any(axis=1), 0] = True
-    infos = infos_of(TechniqueSelectionEnv(bank, statistic="evidence", history=30), ran)
+    chosen = SICSettings("evidence", history=30)
+    infos = infos_of(TechniqueSelectionEnv(bank, **vars(chosen)), ran)
+    memory = oracle.Memory.of(2)
+    for q, info in enumerate(infos):
+        memory.fused[q] = info["prediction"]
+        for t in np.flatnonzero(info["ran"]):
+            memory.winners[t][q] = info["place"][t]
     z = oracle.standardise_bank(bank.scores)
     for q in [*range(0, queries, 29), SLACK, SLACK + 1, 2 * SLACK, queries - 1]:
-        expected = oracle.music(bank.scores, ran, q, 50, 30, 1.0, "evidence", z)
+        expected = oracle.music(bank.scores, ran, q, *as_settings(chosen, z), memory)
         assert infos[q]["prediction"] == expected.place
         np.testing.assert_allclose(infos[q]["confidence"], expected.confidence, **CLOSE)
 
