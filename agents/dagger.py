@@ -70,7 +70,7 @@ class DAgger:
         self.network = SelectorNetwork(config.network)
         self.student = TrainedSelector(self.network, config.statistic, config.environment())
         self.records = Records(out, config, [], "selector", config.network)
-        self.held_out = HeldOut(config.held_out, config.statistic, config.environment())
+        self.held_out = HeldOut(config.held_out, config.statistic)
         self.rounds: list[Round] = []
         self.steps = -(-self.settings.frames // config.n_envs)  # of every route in a round
         self.frames = self.steps * config.n_envs  # of a round

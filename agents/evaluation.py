@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,23 +40,20 @@ class HeldOut:
     Args:
         routes: how many.
         statistic: SIC's statistic.
-        environment: how SIC works besides, for selectors that do not bring their own.
     """
 
-    def __init__(
-        self, routes: int, statistic: str, environment: Mapping[str, bool] | None = None
-    ) -> None:
+    def __init__(self, routes: int, statistic: str) -> None:
         source = SimulatedRoutes(
             population(statistic), pool=routes, seed=HELD_OUT_SEED, keep=routes
         )
         rng = np.random.default_rng(0)
         banks = [source.sample(rng, i)[0] for i in range(routes)]
         self.jobs = [Job(bank, weight) for bank in banks for weight in COMPUTE_WEIGHTS]
-        self.options: dict[str, Any] = {"statistic": statistic, **(environment or {})}
+        self.statistic = statistic
 
     def evaluate(self, selector: Selector, timesteps: int) -> Evaluation:
         """Run the selector on every route at every compute weight."""
-        traces = rollouts(selector, self.jobs, name="selector", **self.options)
+        traces = rollouts(selector, self.jobs, name="selector", statistic=self.statistic)
         accuracy = np.array([trace.correct.mean() for trace in traces])
         cost = np.array([compute(trace) for trace in traces])
         weights = np.array([job.compute_weight for job in self.jobs], np.float64)

@@ -71,7 +71,7 @@ def train(
         refuse_used(out)
         config = replace(config, warm_start=_folder(warm_start))
     model = make_model(config, source or training_source(config, banks))
-    held_out = HeldOut(config.held_out, config.statistic, config.environment())
+    held_out = HeldOut(config.held_out, config.statistic)
     keeper = Keeper(out, config, bank_folders(source, banks), held_out)
     keeper.init_callback(model)
     if resume:

@@ -22,8 +22,7 @@ class Needs:
     """Arguments of the environment that a selector was made for; None: whatever the user chose.
 
     Attributes:
-        statistic: SIC's statistic. A selector that has one of its own has its `carry` and
-            `discount`, too: None then is as that statistic has it.
+        statistic: SIC's statistic.
         carry: whether places are carried on as candidates.
         discount: whether MuSIC discounts alike rows.
         reselection: M of the re-select bit; None: no such bit.
@@ -130,10 +129,8 @@ class Correction(NamedTuple):
         if not isinstance(policy, Selector):
             return cls("none", False, False)
         needs = policy.needs
-        if needs.statistic is not None:
-            statistic, carry, discount = needs.statistic, None, None
         settings = SICSettings(
-            statistic,
+            needs.statistic or statistic,
             carry=carry if needs.carry is None else needs.carry,
             discount=discount if needs.discount is None else needs.discount,
         )

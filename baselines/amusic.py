@@ -61,7 +61,10 @@ class AMuSIC:
         coverage: float = COVERAGE,
         alpha: float = ALPHA,
     ) -> None:
-        self.needs = Needs(statistic=statistic, reselection=block, coverage=coverage)
+        told = None if statistic == "evidence" else False  # nothing else carries or discounts
+        self.needs = Needs(
+            statistic=statistic, carry=told, discount=told, reselection=block, coverage=coverage
+        )
         self.block = block
         self.alpha = alpha
         self._selected = np.zeros((0, 0), np.bool_)  # (N, S)
@@ -117,7 +120,8 @@ class AMuSIC:
 def amusic(argument: str | None, context: Context) -> AMuSIC:
     """``amusic``: the paper's; ``amusic:STATISTIC``: the same rule on another statistic.
 
-    With ``amusic:evidence`` places are carried on and alike rows discounted, as there by default.
+    With ``amusic:evidence`` places are carried on and alike rows discounted, unless the user says
+    otherwise; the paper's rule knows neither.
     """
     if argument is None:
         return AMuSIC()

@@ -60,7 +60,7 @@ def _parser() -> Parser:
         help="of SIC, for all policies but amusic and ppo, which bring their own "
         f"(default: {SICSettings.statistic})",
     )
-    add_correction(parser, "likewise")
+    add_correction(parser, "for all policies but amusic and ppo")
     add("--costs", choices=COST_MODELS, help="cost model (default: the bank's own)")
     add("--seed", type=int, default=0, metavar="S", help="for policies that draw (default: 0)")
     return parser

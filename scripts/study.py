@@ -95,7 +95,7 @@ def _add_policies(parser: Parser) -> None:
         help="of SIC, for all policies but amusic and trained ones, which bring their own "
         f"(default: {SICSettings.statistic})",
     )
-    add_correction(parser, "likewise")
+    add_correction(parser, "for all policies but amusic and trained ones")
 
 
 def lineup(args: argparse.Namespace) -> Lineup:

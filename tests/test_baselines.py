@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import permutations
+from typing import Any
 
 import numpy as np
 import oracle as loops
@@ -56,8 +57,23 @@ def make(spec: str, bank: ScoreBank, statistic: str = DEFAULT, seed: int = 0):
     return make_policy(spec, Context.of(bank, statistic=statistic, seed=seed))
 
 
-def run(spec: str, bank: ScoreBank, statistic: str = DEFAULT, seed: int = 0) -> Trace:
-    return rollout(make(spec, bank, statistic, seed), bank, name=spec, statistic=statistic)
+def run(
+    spec: str, bank: ScoreBank, statistic: str = DEFAULT, seed: int = 0, plain: bool = False
+) -> Trace:
+    """A policy's trace; ``plain``: without carried candidates and the discount."""
+    how = {"carry": False, "discount": False} if plain else {}
+    policy = make_policy(spec, Context.of(bank, statistic=statistic, seed=seed, **how))
+    return rollout(policy, bank, name=spec, statistic=statistic, **how)
+
+
+def loops_how(statistic: str, plain: bool) -> dict[str, Any]:
+    """The same for the explicit loops."""
+    ours = statistic == "evidence" and not plain
+    return {"statistic": statistic, "carry": ours, "discount": ours}
+
+
+HOW = [("mean", False), ("evidence", False), ("evidence", True)]
+"""Statistic, and whether it is plain."""
 
 
 def kind(spec: str) -> str:
@@ -222,13 +238,13 @@ def test_raw_is_the_best_score_of_every_row(technique, bank):
     assert trace.ran.tolist() == expected.ran
 
 
-@pytest.mark.parametrize("statistic", loops.STATISTICS)
+@pytest.mark.parametrize(("statistic", "plain"), HOW)
 @pytest.mark.parametrize(
     ("spec", "active"), [("single:T1", [1]), ("subset:T0+T2", [0, 2]), ("music", [0, 1, 2])]
 )
-def test_fixed_subsets_are_the_loops(spec, active, statistic, bank):
-    trace = run(spec, bank, statistic)
-    expected = loops.always(bank.scores, active, statistic=statistic)
+def test_fixed_subsets_are_the_loops(spec, active, statistic, plain, bank):
+    trace = run(spec, bank, statistic, plain=plain)
+    expected = loops.always(bank.scores, active, **loops_how(statistic, plain))
     assert trace.predictions.tolist() == expected.predictions
     assert trace.chosen.tolist() == expected.chosen
     np.testing.assert_allclose(trace.confidence, expected.confidences, rtol=1e-9)
@@ -252,11 +268,18 @@ def test_amusic_brings_its_own_statistic(statistic, bank):
 
 
 @pytest.mark.parametrize(
-    ("spec", "statistic"), [("amusic", "mean"), ("amusic:evidence", "evidence")]
+    ("spec", "statistic", "plain"),
+    [
+        ("amusic", "mean", False),
+        ("amusic", "mean", True),
+        ("amusic:evidence", "evidence", False),
+        ("amusic:evidence", "evidence", True),
+    ],
 )
-def test_amusic_is_the_rule_of_the_loops(spec, statistic):
+def test_amusic_is_the_rule_of_the_loops(spec, statistic, plain):
     route = random_bank(7, techniques=4, queries=90, references=110)
-    trace, expected = run(spec, route), loops.amusic(route.scores, statistic=statistic)
+    trace = run(spec, route, plain=plain)
+    expected = loops.amusic(route.scores, **loops_how(statistic, plain))
     assert trace.predictions.tolist() == expected.predictions
     assert trace.ran.tolist() == expected.ran
     assert trace.runs.sum(axis=0).tolist() == expected.runs()
@@ -340,23 +363,26 @@ def test_cascade_on_a_route_runs_more_where_the_estimate_is_low():
     assert trace.ran[:, :2].all()  # the two cheapest
 
 
-@pytest.mark.parametrize("statistic", loops.STATISTICS)
+@pytest.mark.parametrize(("statistic", "plain"), HOW)
 @pytest.mark.parametrize("seconds", [(1.0, 2.0, 3.0), (3.0, 1.0, 1.0)])
-def test_oracle_runs_the_cheapest_technique_that_is_right(statistic, seconds):
+def test_oracle_runs_the_cheapest_technique_that_is_right(statistic, plain, seconds):
     scores = random_bank(5, queries=40).scores
     bank = ScoreBank(scores, ["T0", "T1", "T2"], seconds, tolerance=1, name="route")
     truth = bank.truth.matrix()
     z = loops.standardise_bank(scores)
     cheapest_first = sorted(range(3), key=lambda t: (seconds[t], t))
     ran = [[False] * 3 for _ in range(bank.queries)]
+    memory, settings = loops.Memory.of(3), (50, 1000, 1.0, statistic, z)
+    how = [loops_how(statistic, plain)[name] for name in ("carry", "discount")]
     for q in range(bank.queries):
-        right = []
+        results = []
         for t in cheapest_first:
-            history = [frame[t] for frame in ran[:q]] + [True]
-            if truth[q, loops.sic(scores[t], history, q, statistic=statistic, z=z[t]).place]:
-                right.append(t)
-        ran[q][(right or cheapest_first)[0]] = True
-    trace = run("oracle", bank, statistic)
+            alone = [*ran[:q], [other == t for other in range(3)]]
+            results.append(loops.music(scores, alone, q, *settings, *how, memory))
+        best = next((one for one in results if truth[q, one.place]), results[0])
+        ran[q][best.technique] = True
+        memory.note(best, q)
+    trace = run("oracle", bank, statistic, plain=plain)
     assert trace.ran.tolist() == ran
     assert len({tuple(frame) for frame in ran}) > 1  # one alone is not enough
 

@@ -118,9 +118,9 @@ def test_samples_are_those_of_single_routes_before_calibration(script, statistic
 
 def test_script_fits_every_statistic(script, tmp_path, capsys):
     out = tmp_path / "calibration.json"
-    script.main(["--routes", "4", "--seed", "3", "--out", str(out)])
+    script.main(["--routes", "8", "--seed", "3", "--out", str(out)])
     table = json.loads(out.read_text("utf-8"))
-    assert table["made_by"] == "python scripts/calibrate.py --routes 4 --seed 3"
+    assert table["made_by"] == "python scripts/calibrate.py --routes 8 --seed 3"
     shipped = calibration.stored()["coefficients"]
     assert table["coefficients"].keys() == shipped.keys() == set(STATISTICS)
     for statistic, parts in table["coefficients"].items():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import corridor
 import numpy as np
 import pytest
@@ -25,14 +27,20 @@ def recording() -> ScoreBank:
     return load()
 
 
-def run(bank: ScoreBank, policy: str, statistic: str) -> Trace:
-    made = make_policy(policy, Context.of(bank, statistic=statistic))
-    return rollout(made, bank, name=policy, statistic=statistic)
+FITTED_WITHOUT = pytest.mark.xfail(
+    strict=True, reason="p̂ of evidence was fitted without carried candidates and the discount"
+)
+PLAIN: dict[str, Any] = {"carry": False, "discount": False}
+
+
+def run(bank: ScoreBank, policy: str, statistic: str, **how: Any) -> Trace:
+    made = make_policy(policy, Context.of(bank, statistic=statistic, **how))
+    return rollout(made, bank, name=policy, statistic=statistic, **how)
 
 
 @pytest.mark.parametrize(("policy", "statistic"), corridor.EXPECTED)
 def test_table(recording: ScoreBank, policy: str, statistic: str) -> None:
-    trace = run(recording, policy, statistic)
+    trace = run(recording, policy, statistic, **PLAIN)
     row = {**summarise(trace), "runs": int(trace.runs.sum())}
     assert set(corridor.COLUMNS) <= row.keys()
     assert corridor.differences(policy, statistic, row) == []
@@ -50,12 +58,13 @@ def test_oracle_is_right_wherever_a_technique_is(recording: ScoreBank) -> None:
     assert row["compute"] < 0.02
 
 
-def test_estimated_correctness_of_ten_techniques_run_singly() -> None:
+@pytest.mark.parametrize("how", [PLAIN, pytest.param({}, marks=FITTED_WITHOUT)])
+def test_estimated_correctness_of_ten_techniques_run_singly(how: dict[str, Any]) -> None:
     folder = corridor.data_folder() / "corridor" / "scores"
     names = tuple(sorted(path.stem for path in folder.glob("*.npy")))
     assert len(names) == 10
     bank = load(names)
-    traces = [run(bank, f"single:{name}", "evidence") for name in names]
+    traces = [run(bank, f"single:{name}", "evidence", **how) for name in names]
     report = correctness.assess(traces)
     pooled = report["pooled"]
     assert pooled["frames"] == 10 * bank.queries

@@ -48,7 +48,11 @@ def check(make, frames, statistic, gamma, history):
     """
     rng = np.random.default_rng(17)
     for number in range(frames // QUERIES):
-        carry, discount, candidates = number // 2 % 2 == 1, number % 2 == 1, (10, 50)[number % 3 % 2]
+        carry, discount, candidates = (
+            number // 2 % 2 == 1,
+            number % 2 == 1,
+            (10, 50)[number % 3 % 2],
+        )
         chosen = SICSettings(statistic, candidates, history, gamma, carry, discount)
         bank = make(rng)
         actions = rng.random((QUERIES, WIDTH + 1)) < rng.choice([0.2, 0.5, 0.9])

@@ -357,6 +357,8 @@ def test_a_checkpoint_of_another_training_is_refused(tmp_path):
         (AMuSIC(STATISTIC), "needs more of the environment than a statistic"),
         (Constant(0, Needs(allow_idle=True)), "needs more of the environment than a statistic"),
         (Constant(0, Needs(statistic="mean")), "needs the statistic 'mean', the training uses"),
+        (Constant(0, Needs(carry=False)), "needs carry False, the training uses True"),
+        (Constant(0, Needs(discount=False)), "needs discount False, the training uses True"),
     ],
 )
 def test_a_teacher_of_another_environment_is_refused(tmp_path, asked, sentence):
@@ -460,12 +462,15 @@ def test_warm_starts_that_do_not_fit_are_refused(tmp_path):
     train(tmp_path / "dqn", small("dqn", timesteps=32), banks=banks(), progress=False)
     mean = small("ppo", statistic="mean", timesteps=32)
     train(tmp_path / "mean", mean, banks=banks(), progress=False)
+    plain = small("ppo", carry=False, timesteps=32)
+    train(tmp_path / "plain", plain, banks=banks(), progress=False)
     other = SelectorNetwork(NetworkConfig(hidden=8))
     new = tmp_path / "new"
     for algorithm, start, sentence in (
         ("dqn", trained_network(), "'dqn' trains a selector of the kind 'subsets'; only ppo"),
         ("ppo", tmp_path / "dqn", "holds a selector of the kind 'subsets'; give a run of ppo or"),
         ("ppo", tmp_path / "mean", "statistic 'mean', this training uses"),
+        ("ppo", tmp_path / "plain", "was trained with carry False, this training uses True"),
         ("ppo", other, r"layer 'critic.0.bias' is \(8,\) float32, the network needs \(64,\)"),
     ):
         with pytest.raises(ValueError, match=sentence):
@@ -544,8 +549,9 @@ def test_the_teacher_follows_the_choice_and_its_file_brings_it_back(
     both = (choosing.Parameters(1, 1, 0.0), choosing.Parameters(99, 1, 0.0))
     calls = []
 
-    def choose(routes, weights, *, statistic, grid):
+    def choose(routes, weights, *, statistic, environment, grid):
         assert (len(routes), grid) == (1, both)
+        assert (statistic, environment) == (STATISTIC, {"carry": True, "discount": True})
         calls.append(weights)
         reached = (0.5, 0.5, 0.5)
         return [choosing.Choice(w, both[w < 0.3], *reached) for w in weights]

@@ -135,6 +135,14 @@ def test_needs_come_before_what_the_user_chose(bank):
     assert own.statistic == chosen.statistic == "mean"
     assert_same(own, chosen)
     assert rollout(Cycle(), bank, name="cycle").statistic == SICSettings.statistic
+    for name in ("carry", "discount"):
+        few = {"candidates": 2}
+        own = rollout(Cycle(**{name: False}, extra=few), bank, name="cycle", **{name: True})
+        chosen = rollout(Cycle(extra=few), bank, name="cycle", **{name: False})
+        assert_same(own, chosen)
+        assert own.carry == chosen.carry == (name != "carry")
+        default = rollout(Cycle(extra=few), bank, name="cycle")
+        assert (chosen.p_correct != default.p_correct).any()
     many, few = (
         rollout(Cycle(statistic="evidence", extra=extra), bank, name="cycle")
         for extra in ({}, {"candidates": 1})
