@@ -21,11 +21,17 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     ## Description
     A robot drives along a mapped route. For every camera frame it may run any of T visual place
     recognition techniques; each costs time and gives one similarity score per place of the map.
-    All that ran feed one belief over the places, which moves as the robot may
-    (:mod:`amusic_gym.belief`); the place whose surroundings hold most of it is the prediction.
-    With `statistic="evidence"` or `"mean"`, SIC corrects every technique that ran by the
-    continuity of its matches, and MuSIC trusts the most consistent one (A-MuSIC, III-A and
-    III-B). The agent decides what runs.
+    SIC corrects every technique that ran by the continuity of its matches, and MuSIC trusts the
+    most consistent one (A-MuSIC, III-A and III-B): its match is the prediction. The agent decides
+    what runs.
+
+    With `statistic="evidence"`, the default, the candidates that SIC chooses from are the K best
+    places of the row and two that are carried on from earlier frames, the technique's own last
+    match and the last prediction; and MuSIC trusts a technique less whose neighbouring rows are
+    alike. `carry=False` and `discount=False` turn these off; `statistic="mean"` is the paper's,
+    which knows neither. With `statistic="belief"`, all that ran feed one belief over the places,
+    which moves as a robot may that stops, hurries or is carried away (:mod:`amusic_gym.belief`);
+    the place whose surroundings hold most of it is the prediction.
 
     ## Action Space
     `MultiBinary(T)`: bit t runs technique t on the *next* frame. Values are checked, not the
@@ -35,8 +41,8 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     A-MuSIC (III-C1). On the first frame there is nothing to select from, and the other bits hold.
 
     An all-zero action runs the cheapest technique, and `info["fallback"]` says so. With
-    `allow_idle=True` nothing runs: the belief moves on by itself; with the other statistics, the
-    prediction does by one place, and p̂ and confidence decay.
+    `allow_idle=True` nothing runs: the prediction moves on by one place, and p̂ and confidence
+    decay; with `belief`, it moves on by itself.
 
     ## Observation Space
     A flat float32 `Box` in [−1, 1]: T equal groups, one per technique, then the route's group.
@@ -55,14 +61,18 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     | support | squash of the z-score that its last row gives to the fused prediction |
     | support_mean | squash of the running mean of support |
     | stored | squash of the statistic that the fused diagonal had at its last run * |
-    | trust | probability that its rows are informative, by `belief`; 0 before its first run |
+    | trust | probability that its rows are informative, by `belief` |
     | sharpness | how sharp they are taken to be, on average: 0 says nothing, 1 the sharpest |
-    | weight | of its last row, by `belief`: 1, or less where it repeats the one before |
+    | weight | of its rows: 1, or less where they repeat the ones before; 0 before its first run * |
     | age | squash of the frames since its last run; 1 before the first |
-    | chosen | 1 if its statistic is the highest on this frame (MuSIC) |
+    | chosen | 1 if MuSIC trusts it on this frame |
     | cost_share | seconds / Σ seconds |
     | cost_log | 1 + log10(cost_share) / 4, at least −1 |
     | price | λ · cost_share on a logarithmic scale, 0.001 → −1, 0.1 → 0, 10 → 1, clipped |
+    | confirms | 1 if the best place of its last row was by itself the fused one (± tolerance) |
+    | confirmation | running mean of confirms over its runs |
+    | support_usual | squash of a slow mean of support: of n values the newest weighs 1/n, or 0.02 |
+    | dissent | squash of its statistic less stored: how much it would rather be elsewhere |
 
     | route | meaning |
     |---|---|
@@ -83,14 +93,22 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     | said_mean | squash of the running mean of what each row gave it |
     | strange | squash of how much the rows changed last, over what is usual for them, by `belief` |
     | size | places of the map on a logarithmic scale, 1 → −1, 1000 → 0, a million → 1, clipped |
+    | logit | squash of log(p̂ / (1 − p̂)), which lies between −30 and 30 |
+    | since_confirmed | squash of the frames since a technique that ran confirmed the prediction |
+    | track | squash of a tenth of the frames in a row on which the prediction continued |
+
+    A technique's *weight* is what MuSIC multiplies its statistic by, √((1 − ρ) / (1 + ρ)) with ρ
+    the correlation of its neighbouring rows; 1 without `discount`. The route's *margin* is between
+    statistics so multiplied.
 
     With `belief`, a technique's *statistic* is the log-odds of the place that its last row and the
     belief before it make the most probable, within the tolerance; its *margin* the logarithm of
     that probability over its best rival's; *stored* the log-likelihood that its last row gave the
     fused place then. The *confidence* is the calibrated log-odds of being within the tolerance,
     and the *margin* over the rival the log ratio of the belief around the fused place and around
-    the best one that shares no place with it. With the other statistics, `trust`, `sharpness`,
-    `weight`, `steady`, `said`, `said_mean` and `strange` are 0.
+    the best one that shares no place with it. Its *weight* is that of its last row alone, of less
+    contrast than usual less, too. With the other statistics, `trust`, `sharpness`, `steady`,
+    `said`, `said_mean` and `strange` are 0.
 
     ## Rewards
     p̂ − λ · (seconds run in this step / Σ seconds), from declared seconds; the terms are in
@@ -107,14 +125,16 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     The same keys and shapes at every step, zeros where a technique did not run (`ran` is the
     mask): `frame`, `route` (number of the bank), `prediction`, `confidence`, `p_correct`,
     `similarity` (z-score of the prediction in this frame's row of the trusted technique, 0:
-    nothing ran), `margin`, `technique` (of the highest statistic, −1: none), `ran`, `place`,
+    nothing ran), `margin`, `technique` (that MuSIC trusts, −1: none), `ran`, `place`,
     `statistic`, `correction`, `present`, `run_seconds`, `seconds`, `fallback`, `idle`,
     `compute_weight`, `reward_terms` and, with `reselection`, `selection` (`happened`, `tally`,
     `selected`, `corrections` (T, M), `late_runs`). Never ground truth.
 
     ## Arguments
-    See :class:`amusic_gym.task.Task`; `reset` takes the options `bank`, `start` and
-    `compute_weight`.
+    See :class:`amusic_gym.task.Task`, among them `statistic`, `carry` and `discount`. Without
+    `bank`, routes are simulated, of four techniques and of the motion that the statistic is made
+    for: steady drives through changing conditions; for `belief`, most with stops, other speeds and
+    jumps. `reset` takes the options `bank`, `start` and `compute_weight`.
 
     ```python
     >>> import gymnasium as gym
@@ -127,7 +147,10 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     ```
 
     ## Version History
-    * v0: may change until release 1.0.0.
+    * v0: may change until release 1.0.0. The observation is of version 4: confirms, confirmation,
+      support_usual and dissent of each technique, and logit, since_confirmed and track of the
+      route, came at the end of their groups. The default statistic went from `belief` to
+      `evidence`, with carried candidates and the discount.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]

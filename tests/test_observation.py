@@ -37,7 +37,7 @@ def test_layout_is_the_documented_one(bank):
     assert TechniqueSelectionEnv(bank).reset(seed=0)[0].shape == (len(names),)
     assert names[0] == "T0.present"
     assert names[len(TECHNIQUE_FEATURES)] == "T1.present"
-    assert names[-1] == "route.size"
+    assert names[-1] == "route.track"
 
 
 def squash(value: float) -> float:
@@ -49,36 +49,53 @@ class Observer:
 
     def __init__(self, env: TechniqueSelectionEnv, bank: ScoreBank, weight: float) -> None:
         self.bank, self.weight = bank, weight
-        self.statistic, self.block = env.task.settings.statistic, env.task.block
+        self.settings, self.block = env.task.settings, env.task.block
         self.width = len(bank.techniques)
         self.z = oracle.standardise_bank(bank.scores)
+        ours = (self.settings.carry, self.settings.discount)
+        self.how = (50, 1000, 1.0, self.settings.statistic, self.z, *ours)
+        self.memory = oracle.Memory.of(self.width)
         self.exists = np.zeros((bank.queries, self.width), bool)
         self.slots: list[dict] = [defaultdict(float, last=-1) for _ in range(self.width)]
         self.route: dict = defaultdict(float, prediction=-1)
 
-    def run(self, t: int, frame: int) -> None:
-        """Remember a technique's corrected match on a frame."""
-        own = self.exists[:, t]
-        sic = oracle.sic(self.bank.scores[t], own, frame, statistic=self.statistic, z=self.z[t])
-        alone = oracle.Music(0, sic.place, sic.statistic, [sic])
-        margin = oracle.margin(alone, self.bank.tolerance) or 0.0
-        self.slots[t].update(place=sic.place, statistic=sic.statistic, margin=margin, last=frame)
-        self.slots[t]["correction"] = sic.correction
+    def look_back(self, frame: int) -> None:
+        """Run everything on the block before a frame."""
+        block = list(range(max(0, frame - self.block), frame))
+        oracle.select(self.bank.scores, self.exists, block, self.how, 0.7, self.memory)
+        self.run(frame - 1, keep=False)
+
+    def run(self, frame: int, keep: bool = True) -> None:
+        """Remember the corrected match on a frame of every technique that ran there."""
+        result = oracle.music(self.bank.scores, self.exists, frame, *self.how, self.memory)
+        for t, sic in enumerate(result.sics):
+            if sic is None:
+                continue
+            alone = oracle.Music(0, sic.place, sic.statistic, [sic])
+            self.slots[t].update(
+                place=sic.place,
+                statistic=sic.statistic,
+                margin=oracle.margin(alone, self.bank.tolerance) or 0.0,
+                last=frame,
+                correction=sic.correction,
+                weight=result.compared(t, 1.0),
+            )
+        if keep:
+            self.memory.note(result, frame)
 
     def note(self, frame: int, info: dict) -> None:
         """Take in what a step's infos say."""
         route, before = self.route, self.route["prediction"]
         late = info["selection"]["happened"]
         if late:
-            self.exists[max(0, frame - self.block) : frame] = True
+            self.look_back(frame)
         self.exists[frame] = info["ran"]
-        for t in range(self.width):
-            if late:
-                self.run(t, frame - 1)
-            if info["ran"][t]:
-                self.run(t, frame)
+        if info["ran"].any():
+            self.run(frame)
         route["prediction"] = info["prediction"]
         route["continues"] = float(before >= 0 and self.continues(before, info))
+        route["track"] = route["continues"] * (route["track"] + 0.1)
+        route["since_confirmed"] += 1
         route["since_doubt"] = 0.0 if info["p_correct"] < 0.5 else route["since_doubt"] + 1
         route["p_mean"] += SMOOTHING * (info["p_correct"] - route["p_mean"])
         route["compute"] = info["seconds"] / self.bank.seconds.sum()
@@ -95,7 +112,7 @@ class Observer:
         if place < 0:
             return 0.0
         known = (self.z[t], self.exists[:, t], slot["last"], place, 1000, 1.0)
-        return oracle.diagonal_statistic(*known, self.statistic)
+        return oracle.diagonal_statistic(*known, self.settings.statistic)
 
     def relate(self, frame: int, info: dict) -> None:
         """Compare every technique's last match with the fused prediction."""
@@ -112,6 +129,14 @@ class Observer:
                 slot["support"] = self.z[t][frame][info["prediction"]]
                 slot["support_mean"] += SMOOTHING * (slot["support"] - slot["support_mean"])
                 slot["agreement"] += SMOOTHING * (near - slot["agreement"])
+                slot["runs"] += 1
+                usual = slot["support"] - slot["support_usual"]
+                slot["support_usual"] += max(0.02, 1 / slot["runs"]) * usual
+                (best,) = oracle.top_candidates(self.bank.scores[t][frame], 1)
+                slot["confirms"] = float(abs(best - info["prediction"]) <= self.bank.tolerance)
+                slot["confirmation"] += SMOOTHING * (slot["confirms"] - slot["confirmation"])
+                if slot["confirms"]:
+                    self.route["since_confirmed"] = 0
         self.route["agreeing"] = agreeing / self.width
 
     def technique_group(self, t: int, frame: int, info: dict) -> list[float]:
@@ -135,6 +160,10 @@ class Observer:
             share,
             max(-1.0, 1 + math.log10(share) / 4),
             max(-1.0, min(1.0, 0.5 + 0.5 * math.log10(self.weight * share))),
+            slot["confirms"],
+            slot["confirmation"],
+            squash(slot["support_usual"]),
+            squash(slot["statistic"] - slot["stored"]),
         ]
 
     def route_group(self, frame: int, info: dict) -> list[float]:
@@ -158,7 +187,15 @@ class Observer:
             squash(route["said_mean"]),
             squash(route["strange"]),
             math.log10(self.bank.references) / 3 - 1,
+            squash(self.logit(info)),
+            squash(route["since_confirmed"]),
+            squash(route["track"]),
         ]
+
+    def logit(self, info: dict) -> float:
+        """Of p̂."""
+        p = info["p_correct"]
+        return math.log(p / (1 - p)) if info["prediction"] >= 0 else 0.0
 
     def expected(self, frame: int, info: dict) -> list[float]:
         groups = [self.technique_group(t, frame, info) for t in range(self.width)]
@@ -172,7 +209,17 @@ class BeliefObserver(Observer):
         super().__init__(env, bank, weight)
         self.episodes = env.task.episodes  # tests/test_belief.py holds their minds right
 
-    def run(self, t: int, frame: int) -> None:
+    def look_back(self, frame: int) -> None:
+        """Run everything on the block before a frame."""
+        self.exists[max(0, frame - self.block) : frame] = True
+        self.run(frame - 1)
+
+    def run(self, frame: int, keep: bool = True) -> None:
+        """Remember what the rows made of the belief."""
+        for t in np.flatnonzero(self.exists[frame]):
+            self.read(t, frame)
+
+    def read(self, t: int, frame: int) -> None:
         """Remember what a technique's row made of the belief."""
         known = self.episodes.minds.witnesses[0, 0, t]
         self.slots[t].update({key: known[key] for key in ("statistic", "margin", "correction")})
@@ -229,7 +276,7 @@ def test_the_belief_has_entries_of_its_own(bank):
     scores = np.array(bank.scores)
     scores[0, 20:25] = scores[0, 20]  # the robot stands
     standing = ScoreBank(scores, bank.techniques, bank.seconds, tolerance=2)
-    env = TechniqueSelectionEnv(standing)
+    env = TechniqueSelectionEnv(standing, statistic="belief")
     names = observation_names(bank.techniques)
     seen = [env.reset(seed=0)[0], *(env.step([1, 1, 1])[0] for _ in range(40))]
     columns = dict(zip(names, np.transpose(seen), strict=True))
