@@ -156,7 +156,7 @@ def good_and_useless() -> ScoreBank:
 
 @pytest.mark.parametrize(
     ("algorithm", "batch_size", "learning_rate"),
-    [("dqn", 128, 0.01), ("maskable", 256, 0.01), ("recurrent", 256, 0.02)],
+    [("dqn", 128, 0.01), ("maskable", 256, 0.01), ("recurrent", 128, 0.01)],
 )
 def test_an_algorithm_finds_the_one_technique_that_is_worth_its_cost(
     algorithm, batch_size, learning_rate, tmp_path

@@ -365,7 +365,7 @@ def edit(run: Path, **changes: object) -> None:
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"observation": 1}, "trained with observation version 1, this program has 3; train"),
+        ({"observation": 1}, "trained with observation version 1, this program has 4; train"),
         ({"network": 2}, "trained with network version 2, this program has 1; train"),
         ({"format": None}, "trained with format version None, this program has 1; train"),
         (

@@ -47,9 +47,14 @@ def make(spec, bank, seed=0):
     return make_policy(spec, Context.of(bank, statistic="evidence", seed=seed))
 
 
-def run(spec, bank, weight=None, seed=0):
+def run(spec, bank, weight=None, seed=0, **how):
     policy = make(spec, bank, seed)
-    return rollout(policy, bank, name=spec, statistic="evidence", compute_weight=weight)
+    return rollout(policy, bank, name=spec, statistic="evidence", compute_weight=weight, **how)
+
+
+PLAIN = {"carry": False, "discount": False}
+"""On a steady route a useless technique goes on from where a good one was, if it may carry: then
+nothing that is dear needs to run again."""
 
 
 @pytest.fixture(scope="module")
@@ -313,8 +318,9 @@ def test_it_finds_the_one_good_technique_of_every_regime(seed, statistic):
     assert sorted(good) == [0, 1, 2, 3]
 
     def drive(spec, weight=None):
-        policy = make_policy(spec, Context.of(route, statistic=statistic))
-        return rollout(policy, route, name=spec, statistic=statistic, compute_weight=weight)
+        policy = make_policy(spec, Context.of(route, statistic=statistic, **PLAIN))
+        how = {"statistic": statistic, **PLAIN}
+        return rollout(policy, route, name=spec, compute_weight=weight, **how)
 
     trace, everything = drive("voi", 0.15), summarise(drive("music"))
     settled = np.arange(400).reshape(4, 100)[:, 40:]
@@ -333,7 +339,7 @@ def test_it_finds_the_one_good_technique_of_every_regime(seed, statistic):
 def test_a_larger_compute_weight_is_never_dearer(spec):
     routes = [planted(0), planted(3, regimes=2), *map(simulate, (2, 3, 4))]
     jobs = [Job(route, weight) for route in routes for weight in WEIGHTS]
-    traces = rollouts(make(spec, routes[0]), jobs, name=spec, statistic="evidence")
+    traces = rollouts(make(spec, routes[0]), jobs, name=spec, statistic="evidence", **PLAIN)
     compute = np.reshape([summarise(trace)["compute"] for trace in traces], (len(routes), -1))
     assert (np.diff(compute, axis=1) <= 1e-3).all()
     assert (np.diff(compute.mean(axis=0)) < 0.0).all()
@@ -353,9 +359,9 @@ def test_a_weight_of_its_own_is_heeded_whatever_the_environment_s(idle):
 def test_routes_of_one_batch_weigh_compute_each_by_its_own_weight():
     route = planted(2, regimes=2)
     jobs = [Job(route, weight) for weight in WEIGHTS]
-    together = rollouts(make("voi", route), jobs, name="voi", statistic="evidence")
+    together = rollouts(make("voi", route), jobs, name="voi", statistic="evidence", **PLAIN)
     for weight, trace in zip(WEIGHTS, together, strict=True):
-        assert_same(trace, run("voi", route, weight=weight))
+        assert_same(trace, run("voi", route, weight=weight, **PLAIN))
     assert all((one.ran != other.ran).any() for one, other in pairwise(together))
 
 
@@ -386,7 +392,7 @@ def test_a_study_knows_their_families():
         policies=("periodic:5", "periodic:5/A/idle", "voi", "voi:0.3/idle", "cascade", "hmm"),
         selectors={},
         all_subsets=False,
-        statistic=None,
+        insisted={},
         compute_weights=(0.3, 1.0),
     )
     entrants = lineup.entrants(["A", "B"])
@@ -399,7 +405,7 @@ def test_a_study_knows_their_families():
 
 def test_a_rule_with_compute_weights_is_a_line_and_a_rival(tmp_path, monkeypatch):
     specs = ("voi", "voi:idle", "periodic:2/T0/idle", "periodic:4/T0/idle")
-    lineup = Lineup(specs, {}, True, None, (0.1, 1.0))
+    lineup = Lineup(specs, {}, True, {}, (0.1, 1.0))
     everybody = [*lineup.entrants(["T0", "T1", "T2"]), learned("PPO", seeds=1)]
     route = random_bank(1, queries=30, references=40)
     plan = plan_of(everybody, [route], seeds=(0,), conditions=("recorded",))
