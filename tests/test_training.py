@@ -19,6 +19,7 @@ from agents import network
 from agents.config import TrainingConfig, stored_banks, stored_config
 from agents.evaluation import COMPUTE_WEIGHTS, Evaluation, HeldOut
 from agents.keeper import Keeper
+from agents.learners.common import make_env
 from agents.network import NetworkConfig, SelectorNetwork
 from agents.run_folder import CHECKPOINT, EVALUATIONS, SELECTOR, read_config, read_tensors
 from agents.selector import TrainedSelector, load_selector
@@ -26,7 +27,7 @@ from agents.training import make_model, train
 from amusic_gym import observation
 from amusic_gym.bank import ScoreBank
 from amusic_gym.metrics import compute
-from amusic_gym.rollout import Job, rollouts
+from amusic_gym.rollout import Job, rollout, rollouts
 from amusic_gym.routes.simulate import planted
 from amusic_gym.settings import SICSettings
 from amusic_gym.sources import SimulatedRoutes
@@ -73,11 +74,14 @@ def test_a_selector_learns_to_follow_the_planted_technique(tmp_path):
         evaluate_every=10**6,
         held_out=1,
         statistic="evidence",  # its memory is what makes finding the good technique pay so soon
+        carry=False,  # else useless techniques go on from where the good one was
         network=NetworkConfig(first_logit=0.0),
     )
     unseen = [Job(bank, weight) for bank in planted_routes(900, 4)]
     first = SelectorNetwork(config.network)
-    before = rollouts(TrainedSelector(first, "evidence"), unseen, name="untrained")
+    before = rollouts(
+        TrainedSelector(first, "evidence", config.environment()), unseen, name="untrained"
+    )
     trained = train(tmp_path / "run", config, banks=planted_routes(0, 24), progress=False)
     after = rollouts(trained, unseen, name="trained")
     assert score(after, weight) > score(before, weight) + 0.2
@@ -117,6 +121,7 @@ def test_config_json_holds_arguments_versions_banks_and_the_best(run):
     }
     assert stored_config(run) == small()
     assert stored_banks(run) == [str(run.parent / "bank"), str(run.parent / "b4")]
+    assert config["environment"] == {"carry": True, "discount": True}
     rows = evaluations(run)
     assert config["best"] == max(rows, key=lambda row: row["score"])
 
@@ -141,7 +146,7 @@ def test_evaluation_csv_has_a_row_per_evaluation(run):
         assert tuple(row) == Evaluation._fields
         assert all(math.isfinite(value) for value in row.values())
         assert 0 <= min(row["accuracy"], row["compute"], row["p_correct"])
-        assert max(row["accuracy"], row["compute"], row["p_correct"]) <= 1
+        assert max(row["accuracy"], row["compute"], row["p_correct"]) <= 1 + 1e-9
 
 
 def test_the_terms_of_the_reward_are_logged(run):
@@ -208,6 +213,28 @@ def test_train_returns_the_stored_selector(run, bank):
     assert [trace.statistic for trace in traces] == [SICSettings.statistic] * 2
 
 
+@pytest.mark.parametrize("name", ["carry", "discount"])
+def test_a_selector_brings_what_it_was_trained_with(name, bank, tmp_path):
+    config = small(**{name: False, "timesteps": 32})
+    selector = train(tmp_path, config, banks=[bank], progress=False)
+    other = {"carry", "discount"} - {name}
+    assert read_config(tmp_path)["environment"] == {name: False, other.pop(): True}
+    assert stored_config(tmp_path) == config
+    assert (selector.needs.carry, selector.needs.discount) == (name != "carry", name == "carry")
+    trace = rollout(selector, bank, name="ppo", **{name: True})
+    assert trace.carry is (name != "carry")
+
+
+def test_a_training_drives_as_its_configuration_says():
+    for config in (small(), small(carry=False), small(discount=False), small(statistic="belief")):
+        env = make_env(config, SimulatedRoutes(pool=1))
+        settings = env.task.settings
+        assert settings.statistic == config.statistic
+        assert {name: getattr(settings, name) for name in ("carry", "discount")} == (
+            config.environment()
+        )
+
+
 # ---- evaluation ----------------------------------------------------------------------------
 
 
@@ -247,6 +274,8 @@ def test_an_evaluation_is_correct_minus_weighted_compute():
         ({"seed": 2_000_000_000}, "seed is 2000000000; give"),
         ({"n_envs": 1, "n_steps": 1}, r"n_steps \* n_envs is 1; raise"),
         ({"statistic": "evidense"}, "statistic 'evidense'.*evidence"),
+        ({"statistic": "belief", "carry": True}, "carry is True, but 'belief' has no candidates"),
+        ({"discount": 0.95}, "discount is 0.95"),
     ],
 )
 def test_bad_configurations_are_refused(changes, sentence):
