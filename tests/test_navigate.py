@@ -168,6 +168,23 @@ def test_the_trace_is_that_of_a_bank_of_the_same_images(navigate, world, tmp_pat
     assert all((float(row["HOG_milliseconds"]) > 0) == on[0] for row, on in zip(rows, ran))  # noqa: B905
 
 
+def test_what_is_turned_off_reaches_the_policy(navigate, monkeypatch):
+    seen = []
+    script = importlib.import_module("navigate")
+    live = script.navigate
+
+    def watched(policy, route, **options):
+        seen.append({name: options[name] for name in ("statistic", "carry", "discount")})
+        return live(policy, route, **options)
+
+    monkeypatch.setattr(script, "navigate", watched)
+    for extra in ((), ("--no-carry",), ("--no-discount", "--no-carry")):
+        assert navigate("--quiet", *extra, frames="2")[0] == 0
+    told = [(each["carry"], each["discount"]) for each in seen[1::2]]  # after the warm-up
+    assert told == [(None, None), (False, None), (False, False)]
+    assert seen[0::2] == seen[1::2]
+
+
 def test_what_the_policy_does_not_activate_is_not_computed(navigate):
     """One run warms the technique up; it may be done twice, to bring its libraries in line."""
     code, out, _ = navigate(techniques=f"hog,{COUNTING}", seconds="HOG=1 Counting=2")
@@ -322,6 +339,7 @@ def test_32_without_pygame_the_refusal_names_the_command(navigate, monkeypatch):
         ({"tolerance": "-1"}, "tolerance"),
         ({"compute-weight": "-1"}, "-1"),
         ({"statistic": "evidnce"}, "did you mean 'evidence'"),
+        ({"policy": "ppo", "statistic": "belief"}, "name ppo@belief"),
         ({"video": "film.mp3"}, r"unknown kind of video '\.mp3': did you mean '\.mp4'"),
         ({"query": "WORLD/run.avi", "ground-truth": "WORLD/truth.npy"}, "length is known: a fold"),
         ({"ground-truth": "no/truth.npy"}, r"no/truth\.npy does not exist"),

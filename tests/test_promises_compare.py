@@ -231,6 +231,30 @@ def test_the_selector_that_ships_needs_no_run_folder(run, tmp_path, banks):
     assert rows[0]["compute"] > rows[-1]["compute"]  # dearer runs, fewer of them
 
 
+def test_what_is_turned_off_is_in_the_rows_and_a_trained_selector_refuses_it(run, tmp_path, banks):
+    words = ["--bank", banks[1], "--policy", "music", "amusic", "ppo@belief", "--no-carry"]
+    words += ["--compute-weight", 1]
+    done = run("compare.py", *words, "--out", tmp_path / "out")
+    assert (done.returncode, done.stderr) == (0, "")
+    rows = results(tmp_path / "out")["rows"]
+    assert [(row["policy"], row["statistic"], row["carry"]) for row in rows] == [
+        ("music", "evidence", False),
+        ("amusic", "mean", False),
+        ("ppo@belief", "belief", False),
+    ]
+    assert done.stdout.count("evidence, no carry") == 1
+    again = run("compare.py", *words, "--out", tmp_path / "out", "--no-discount")
+    # the paper's and the belief's know no discount
+    assert again.stdout.count("(was finished)") == 2
+    for option in ("--no-carry", "--no-discount"):
+        words = ["--bank", banks[1], "--policy", "ppo", "--out", tmp_path / "new", option]
+        refused = run("compare.py", *words)
+        assert refused.returncode == 2
+        assert f"leave out {option} or compare it apart" in refused.stderr
+        assert refused.stderr.count("\n") == 1
+        assert not (tmp_path / "new").exists()
+
+
 def test_correctness_reports_every_technique(run, tmp_path, banks):
     done = run("correctness.py", "--bank", *banks, "--out", tmp_path)
     assert (done.returncode, done.stderr) == (0, "")

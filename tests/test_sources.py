@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from env_cases import assert_same, infos_of, play, random_actions, random_bank
@@ -10,6 +12,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from amusic_gym.bank import ScoreBank
 from amusic_gym.env import TechniqueSelectionEnv
 from amusic_gym.observation import TECHNIQUE_FEATURES, observation_names
+from amusic_gym.routes.simulate import POPULATION, TOURS
 from amusic_gym.sources import Banks, RouteSource, SimulatedRoutes
 
 # ---- several banks -----------------------------------------------------------------------
@@ -155,6 +158,20 @@ def test_simulated_routes_are_endless_or_a_pool():
     env = TechniqueSelectionEnv(pool)
     env.reset(seed=0)
     assert {env.reset()[1]["route"] for _ in range(40)} == {0, 1, 2}
+
+
+@pytest.mark.parametrize(
+    ("statistic", "population"), [("evidence", TOURS), ("mean", TOURS), ("belief", POPULATION)]
+)
+def test_without_a_bank_the_routes_are_those_of_the_statistic(statistic, population):
+    env = TechniqueSelectionEnv(statistic=statistic)
+    assert env.task.source.simulation == replace(population, techniques=(4, 4))
+    assert env.action_space.shape == (4,)
+
+
+def test_without_a_simulation_the_routes_are_those_of_the_default_statistic():
+    assert SimulatedRoutes().simulation == TechniqueSelectionEnv().task.source.simulation
+    assert TechniqueSelectionEnv().task.settings.statistic == "evidence"
 
 
 def test_pools_of_other_seeds_hold_other_routes():

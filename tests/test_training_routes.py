@@ -20,6 +20,17 @@ if str(SCRIPTS) not in sys.path:
 import train  # noqa: E402  (found by the line above)
 
 
+def test_what_is_turned_off_on_the_command_line_is_in_the_configuration():
+    for words, environment in (
+        ([], {"carry": True, "discount": True}),
+        (["--no-carry"], {"carry": False, "discount": True}),
+        (["--no-discount"], {"carry": True, "discount": False}),
+        (["--statistic", "belief", "--no-carry"], {"carry": False, "discount": False}),
+    ):
+        given = train._parser().parse_args(["--out", "run", *words])
+        assert train._config(given).environment() == environment
+
+
 def test_words_of_the_command_line_become_ranges():
     words = ["retimed=0", "wander=0:0.5", "motion=varied"]
     assert train.ranges(words) == {"retimed": 0, "wander": (0, 0.5), "motion": "varied"}

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from amusic_gym.policy import Needs
+from amusic_gym.settings import SICSettings
 
 Network = TypeVar("Network", bound=nn.Module)
 
@@ -21,7 +22,8 @@ class NetworkSelector(ABC, Generic[Network]):
     Args:
         network: the network.
         statistic: SIC's statistic that it was trained on.
-        environment: other arguments of the environment that it was trained on.
+        environment: other arguments of the environment that it was trained on; ``carry`` and
+            ``discount`` are as the statistic has them where they are not among these.
         reselection: M of the environment's re-select bit; None: it has none.
     """
 
@@ -35,10 +37,13 @@ class NetworkSelector(ABC, Generic[Network]):
     ) -> None:
         self.network = network
         extra = dict(environment or {})
+        own = SICSettings(
+            statistic, carry=extra.pop("carry", None), discount=extra.pop("discount", None)
+        )
         self.needs = Needs(
             statistic=statistic,
-            carry=extra.pop("carry", None),
-            discount=extra.pop("discount", None),
+            carry=own.carry,
+            discount=own.discount,
             reselection=reselection,
             extra=extra,
         )
