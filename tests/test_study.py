@@ -177,6 +177,20 @@ def test_banks_of_one_name_are_told_apart_and_costs_must_agree():
         plan_of(FIXED, [same[0], same[1].with_costs("runs")])
 
 
+def test_a_study_without_carried_candidates_says_so(tmp_path):
+    mean = next(one for one in EVERYBODY if one.name == "music@mean")
+    everybody = [*FIXED, entrant("amusic", "amusic"), mean, learned("PPO", seeds=1)]
+    options = {"seeds": (0,), "conditions": ("recorded",), "carry": False, "discount": False}
+    plan = plan_of(everybody, banks(1), **options)
+    findings = study.find(plan, study.run(plan, tmp_path, report=len))
+    assert (findings.settings["carry"], findings.settings["discount"]) == (False, False)
+    assert not any(row["carry"] for row in findings.cells + findings.points)
+    (shown, *_) = tables(findings)
+    labels = {row[0]: row[2] for row in shown.rows}
+    assert (labels["music"], labels["PPO"]) == ("evidence, no carry", "evidence, no carry")
+    assert (labels["amusic"], labels["music@mean"]) == ("mean", "mean")
+
+
 # ---- cells and what is kept ------------------------------------------------------------------
 
 
