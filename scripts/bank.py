@@ -1,4 +1,4 @@
-"""Make and inspect score banks: arrays | vprbench | images | simulate | retime | info; render."""
+"""Make and inspect banks: arrays | vprbench | images | tour | simulate | retime | info; render."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from _bank_images import add_images, add_render
+from _bank_tour import add_tour
 from _cli import Parser, number, pairs, run
 
 from amusic_gym.bank import ScoreBank
@@ -170,6 +171,7 @@ def _parser() -> Parser:
         each.add_argument("--out", type=Path, required=True, metavar="BANK", help="the folder")
 
     add_images(commands)
+    add_tour(commands)
     add_render(commands)
 
     five = commands.add_parser("info", help="check a bank and print what is in it")
