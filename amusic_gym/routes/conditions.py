@@ -113,7 +113,7 @@ def _rain(image: _Floats, strength: float, chance: _Chance) -> _Floats:
     kernel = np.zeros((length, 2 * math.ceil(abs(slant)) + 1), np.float32)
     for row in range(length):
         kernel[row, round(kernel.shape[1] // 2 + slant * (row / (length - 1) - 0.5))] = 1.0
-    drops = chance.frame.random((height, width), np.float32) < 0.02 * strength
+    drops = chance.frame.random((height, width), np.float32) < 0.012 * strength
     depth = chance.frame.uniform(60.0, 170.0, (height, width)).astype(np.float32)
     streaks = cv2.filter2D(drops * depth, -1, kernel, borderType=cv2.BORDER_CONSTANT)
     dull = (1.0 - 0.35 * strength) * image + 0.15 * strength * 120.0
