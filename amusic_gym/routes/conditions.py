@@ -46,11 +46,12 @@ def _night(image: _Floats, strength: float, chance: _Chance) -> _Floats:
     """Less light, dark parts darker still, a bluish cast, and noise as of a high sensitivity.
 
     At strength 1, a value v in [0, 1] becomes 0.2 v ** 2.2, with noise of a standard deviation of
-    0.05 where it is black and 0.07 where the image was white.
+    0.05 where it is black and 0.07 where the image was white; noise grows with the square of the
+    strength.
     """
     values = (image / 255.0) ** (1.0 + 1.2 * strength) * (1.0 - 0.8 * strength)
     values *= 1.0 + strength * np.array([0.1, 0.0, -0.1], np.float32)  # blue, green, red
-    deviation = strength * np.sqrt(0.0025 + 0.012 * values)
+    deviation = strength**2 * np.sqrt(0.0025 + 0.012 * values)
     noise = chance.frame.standard_normal(image.shape, np.float32)
     return np.asarray(255.0 * (values + deviation * noise), np.float32)
 
