@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from amusic_gym.bank import ScoreBank
-from amusic_gym.extraction import BLOCK, extract
+from amusic_gym.extraction import BLOCK, describe_map, extract
 from amusic_gym.extraction.describe import Plan, images_of
 from amusic_gym.routes import folders as folders_module
 from amusic_gym.routes.conditions import CONDITIONS, Change, Condition
@@ -235,6 +235,19 @@ def test_one_technique_is_described_anew_only_where_the_tour_is_another(parts, t
     assert described(one) == 0
     assert described(make_tour([parts[0], parts[2]], ["night"], seed=2)) == 130
     assert described(make_tour([parts[0], parts[2]], ["night:0.5"], seed=1)) == 130
+
+
+def test_processes_see_the_same_images(tour, bank, tmp_path):
+    options = {"tolerance": 2, "cache": tmp_path / "cache", "executor": "process:2"}
+    made = extract(tour.reference, tour.query, "hog", seconds={"HOG": 1.0}, **options)
+    assert np.array_equal(made.scores, bank.scores)
+
+
+def test_a_tour_is_driven_live_with_the_scores_of_its_bank(tour, bank, tmp_path):
+    maps = [describe_map(tour.reference, "hog", cache=tmp_path / "cache")]
+    for frame in (0, 63, 174):
+        seen = maps[0].describe_query(tour.query[frame])
+        assert np.array_equal(maps[0].scores(seen), bank.scores[0, frame])
 
 
 def test_truth_of_an_extracted_tour_goes_part_by_part(tour, bank):
