@@ -75,7 +75,7 @@ SMOOTHING = 0.2
 """Weight of the newest value in every running mean of the observation."""
 
 USUAL_SMOOTHING = 0.02
-"""Weight of the newest value in what is usual for a technique; that of k values is 1 / k or more."""
+"""Weight of the newest value in what is usual for a technique; of the k-th at least 1 / k."""
 
 _LOG_LOW = math.log10(COMPUTE_WEIGHT_RANGE[0])
 _LOG_SPAN = math.log10(COMPUTE_WEIGHT_RANGE[1]) - _LOG_LOW
