@@ -286,17 +286,16 @@ class Task:
     def correct(self, out: Outcome) -> NDArray[np.bool_]:
         """(N,) whether the predictions are true places."""
         correct = np.zeros(self.episodes.num_routes, np.bool_)
+        places, frames = out.routes["prediction"].tolist(), out.routes["frame"].tolist()
         for i, route in enumerate(self.episodes.routes):
-            place = out.routes["prediction"][i : i + 1]
-            if route is None or place < 0:
+            if route is None or places[i] < 0:
                 continue
             if route.bank.truth is None:
                 raise ValueError(
                     f"live route {route.bank.name!r} has no ground truth, which the reward asks"
                     " for; give it ground_truth, or take reward='estimated'"
                 )
-            frames = route.start + out.routes["frame"][i : i + 1]
-            correct[i] = route.bank.truth.correct(place, frames)[0]
+            correct[i] = route.bank.truth.is_true(places[i], route.start + frames[i])
         return correct
 
     # --- infos ----------------------------------------------------------------------------------

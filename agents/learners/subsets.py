@@ -71,7 +71,7 @@ class SubsetNetwork(nn.Module):
         codes, pool = self.encoder(observation)
         member = members(codes.shape[1]).float()  # (2^S, S)
         sums = torch.einsum("as,bsh->bah", member, self.member(codes))  # (B, 2^S, H)
-        ratings: torch.Tensor = self.rating(torch.tanh(sums + self.whole(pool).unsqueeze(1)))
+        ratings: torch.Tensor = self.rating(torch.relu(sums + self.whole(pool).unsqueeze(1)))
         return ratings.squeeze(2)
 
 
