@@ -63,6 +63,7 @@ ROUTE_FEATURES = (
     "logit",
     "since_confirmed",
     "track",
+    "supported",
 )
 
 SQUASH_HALF = 4.0
@@ -145,6 +146,7 @@ def observe_route(route: Any, out: Any) -> None:
     out[17] = squash(route.logit)
     out[18] = squash(route.since_confirmed)
     out[19] = squash(route.track)
+    out[20] = route.support
 
 
 @inner
