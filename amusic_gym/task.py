@@ -6,6 +6,7 @@ implementation of everything but Gymnasium's two calling conventions.
 
 from __future__ import annotations
 
+import copy
 import inspect
 import math
 import operator
@@ -297,6 +298,12 @@ class Task:
                 )
             correct[i] = route.bank.truth.is_true(places[i], route.start + frames[i])
         return correct
+
+    def repeated(self, copies: int) -> Task:
+        """A task whose routes stand ``copies`` times in a row, each as it is now."""
+        twin = copy.copy(self)
+        twin.episodes = self.episodes.repeated(copies)
+        return twin
 
     # --- infos ----------------------------------------------------------------------------------
 
