@@ -74,6 +74,52 @@ class ImitationConfig:
 
 
 @dataclass(frozen=True)
+class RolloutConfig:
+    """How policy iteration tries subsets of techniques (:mod:`agents.policy_iteration`).
+
+    Attributes:
+        iterations: of collecting and learning.
+        states: from which subsets are tried in each iteration, over all routes.
+        kept: iterations whose states are learned from together, the last ones.
+        subsets: tried from each state.
+        hold: frames for which a subset runs, before the policy so far goes on.
+        horizon: frames of a rollout.
+        discount: of later frames in it.
+        every: frames of a drive between two states.
+        share: of the spells of a drive that the policy so far drives.
+        epochs: passes over all states in each iteration.
+        batch_size: states per gradient step.
+        learning_rate: at the start of each iteration; falls linearly to zero in it.
+
+    Raises:
+        ValueError: for a number out of range.
+    """
+
+    iterations: int = 6
+    states: int = 8_000
+    kept: int = 3
+    subsets: int = 8
+    hold: int = 8
+    horizon: int = 80
+    discount: float = 0.985
+    every: int = 12
+    share: float = 0.7
+    epochs: int = 12
+    batch_size: int = 256
+    learning_rate: float = 2e-3
+
+    def __post_init__(self) -> None:
+        """Refuse what nothing can be learned from."""
+        for name in ("iterations", "states", "kept", "hold", "horizon", "every", "epochs"):
+            _whole(name, getattr(self, name), 1)
+        _whole("batch_size", self.batch_size, 2)
+        _whole("subsets", self.subsets, 4)
+        for name in ("share", "discount"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} is {getattr(self, name)!r}; give a number in [0, 1]")
+
+
+@dataclass(frozen=True)
 class TrainingConfig:
     """Everything that decides how a selector is trained; the defaults are those of ``train.py``.
 
@@ -105,6 +151,7 @@ class TrainingConfig:
         frozen_updates: updates of PPO in which the critic alone learns; for a warm start.
         warm_start: run folder whose weights PPO begins from; ``train`` notes it here.
         imitation: of a teacher.
+        rollouts: of policy iteration.
 
     Raises:
         ValueError: for a number out of range, or an unknown algorithm or statistic.
@@ -135,6 +182,7 @@ class TrainingConfig:
     frozen_updates: int = 0
     warm_start: str | None = None
     imitation: ImitationConfig = field(default_factory=ImitationConfig)
+    rollouts: RolloutConfig = field(default_factory=RolloutConfig)
 
     def __post_init__(self) -> None:
         """Refuse what no training can use."""
@@ -234,6 +282,7 @@ def stored_config(out: Path) -> TrainingConfig:
         values = dict(config["training"])
         values["network"] = NetworkConfig(**values["network"])
         values["imitation"] = ImitationConfig(**values["imitation"])
+        values["rollouts"] = RolloutConfig(**values["rollouts"])
         values["compute_weights"] = tuple(values["compute_weights"])
         values["simulation"] = {
             name: tuple(value) if isinstance(value, list) else value

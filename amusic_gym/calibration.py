@@ -33,9 +33,11 @@ UNCALIBRATED = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
 def coefficients(statistic: str) -> NDArray[np.float64]:
     """Coefficients (5,) of the calibration for a statistic.
 
-    ``mean`` and ``evidence``: with s = asinh(statistic) and m = asinh(margin) of the fused winner,
-    logit p̂ = b₀ + b₁s + b₂m where it has a rival beyond the tolerance, and b₃ + b₄s where it has
-    none.
+    ``mean`` and ``evidence``: logit p̂ = b₀ + b₁s + b₂t + b₃u + b₄m where the fused winner has a rival
+    beyond the tolerance, and b₅ + b₆s + b₇t + b₈u where it has none. Here s = asinh(statistic),
+    discounted, m = asinh(margin), t = log(1 + frames in a row on which the prediction moved on by
+    one place), and u ∈ [0, 1] the support by other techniques (``support_of`` in
+    :mod:`amusic_gym.dynamics`).
 
     ``belief``: logit p̂ = b₀ + b₁s + b₂m + b₃l + b₄a. Here s is the log-odds of the belief within
     the tolerance of the prediction, m the logarithm of its ratio to the belief around the best
@@ -43,13 +45,23 @@ def coefficients(statistic: str) -> NDArray[np.float64]:
     running mean over the frames of what each row gave it.
     """
     entry = stored()["coefficients"][statistic]
-    return np.array([number for part in entry.values() for number in part])
+    return np.array([number for part in entry.values() for number in part], np.float64)
 
 
-def design(statistic: ArrayLike, margin: ArrayLike | None) -> NDArray[np.float64]:
-    """Inputs of SIC's logit: (n, 3) with margins, (n, 2) without rivals."""
+def design(
+    statistic: ArrayLike, track: ArrayLike, support: ArrayLike, margin: ArrayLike | None
+) -> NDArray[np.float64]:
+    """Inputs of SIC's logit: (n, 5) with margins, (n, 4) without rivals.
+
+    Args:
+        statistic: (n,) of the fused winner, discounted.
+        track: (n,) frames in a row on which the prediction moved on by one place.
+        support: (n,) by other techniques, in [0, 1].
+        margin: (n,) over the best rival; None: there is none.
+    """
     s = np.arcsinh(np.asarray(statistic, np.float64))
-    columns = [np.ones_like(s), s]
+    t, u = np.log1p(np.asarray(track, np.float64)), np.asarray(support, np.float64)
+    columns = [np.ones_like(s), s, t, u]
     if margin is not None:
         columns.append(np.arcsinh(np.asarray(margin, np.float64)))
     return np.stack(columns, axis=-1)

@@ -15,7 +15,7 @@ from amusic_gym._compile import compiled, inner, spliced
 from amusic_gym.belief.places import log_odds, log_ratio
 from amusic_gym.observation import SMOOTHING, USUAL_SMOOTHING, observe
 from amusic_gym.records import LIVE, PAST_END, Outcome, Rules, State, batch_at
-from amusic_gym.rows import mean_at, prepare, row_at, scale_at, top_at
+from amusic_gym.rows import correlation, mean_at, prepare, row_at, scale_at, top_at
 from amusic_gym.sic import (
     best_candidate,
     best_rival,
@@ -30,6 +30,9 @@ from amusic_gym.sic import (
 
 IDLE_DECAY = 0.9
 """Factor on p̂ and confidence per frame on which nothing ran."""
+
+SUPPORT_MEMORY = 0.98
+"""Factor per frame on the support that a technique's last match gives the prediction."""
 
 DOUBT = 0.5
 """A frame with p̂ below this is one of doubt."""
@@ -170,7 +173,8 @@ def recall_techniques(state: State, i: int, frame: int, out: Outcome) -> None:
 @inner
 def sigmoid(logit: float) -> float:
     """1 / (1 + exp(−logit))."""
-    return 1.0 / (1.0 + math.exp(-min(max(logit, -30.0), 30.0)))
+    p: float = 1.0 / (1.0 + math.exp(-min(max(logit, -30.0), 30.0)))
+    return p
 
 
 @inner
@@ -181,14 +185,36 @@ def logit_of(probability: float) -> float:
 
 
 @inner
-def estimate(calibration: Any, statistic: float, margin: float, has_rival: bool) -> float:
-    """Logit of p̂ of a match: see amusic_gym.calibration."""
-    s = math.asinh(statistic)
+def estimate(b: Any, route: Any, statistic: float, has_rival: bool) -> float:
+    """Logit of p̂ of the prediction, with coefficients ``b``: see amusic_gym.calibration."""
+    first = 0 if has_rival else 5
+    logit: float = b[first] + b[first + 1] * math.asinh(statistic)
+    logit += b[first + 2] * math.log1p(10.0 * route.track) + b[first + 3] * route.support
     if has_rival:
-        logit = calibration[0] + calibration[1] * s + calibration[2] * math.asinh(margin)
-    else:
-        logit = calibration[3] + calibration[4] * s
-    return float(min(max(logit, -30.0), 30.0))
+        logit += b[4] * math.asinh(route.margin)
+    return min(max(logit, -30.0), 30.0)
+
+
+@inner
+def support_of(state: State, i: int, chosen: int, frame: int) -> float:
+    """How far another technique than the chosen one supports the prediction, in [0, 1].
+
+    The highest over the techniques whose last match, moved on, is the prediction: less the longer
+    ago that was, and less the more its row was like the chosen one's, where they last ran together.
+    """
+    slots, route = state.slots[i], state.routes[i]
+    support = 0.0
+    for s in range(slots.size):
+        slot = slots[s]
+        if s == chosen or slot.last_run < 0 or not slot.present:
+            continue
+        if slot.ran:
+            slot.likeness = correlation(state.runs[i, chosen], frame, state.runs[i, s], frame, 0)
+        age = frame - slot.last_run
+        if abs(slot.place + age - route.prediction) <= route.tolerance:
+            own = 1.0 - min(max(slot.likeness, 0.0), 1.0)
+            support = max(support, own * SUPPORT_MEMORY**age)
+    return support
 
 
 @inner
@@ -231,7 +257,8 @@ def fuse(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
     discounted = slots[chosen].statistic * slots[chosen].discount
     route.confidence = slots[chosen].statistic
     route.margin = discounted - rival if has_rival else 0.0
-    route.logit = estimate(rules.calibration, discounted, route.margin, has_rival)
+    route.support = support_of(state, i, chosen, frame)
+    route.logit = estimate(rules.calibration, route, discounted, has_rival)
     route.p_correct = sigmoid(route.logit)
 
 

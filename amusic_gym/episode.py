@@ -48,6 +48,9 @@ KEPT = (
 )
 """Arrays of the state that go on when there must be more room; the others are scratch."""
 
+KEPT_BELIEF = ("minds", "witnesses", "belief", "hubs")
+"""Those of the belief's memory."""
+
 ROOM = 1024
 """Frames that there is room for at first on such a route; it doubles when it is used up."""
 
@@ -164,7 +167,7 @@ class Episodes:
         self._room = room
         for name in KEPT:
             _keep(getattr(old, name), getattr(new, name))
-        for name in ("minds", "witnesses", "belief", "hubs"):
+        for name in KEPT_BELIEF:
             _keep(getattr(old_minds, name), getattr(minds, name))
         self.state, self.minds = new, minds
         self._lay_out()
@@ -358,6 +361,33 @@ class Episodes:
         self._out.memory.fill(0)
         self._run_stages(SHOW)
         return self._out.copy()
+
+    def repeated(self, copies: int) -> Episodes:
+        """A batch in which every route stands ``copies`` times in a row, each as it is now.
+
+        Raises:
+            ValueError: for live routes: the future of a camera can't be had several times.
+        """
+        if self.is_live:
+            raise ValueError("a live route cannot be copied; give score banks")
+        routes = self.num_routes * copies
+        twin = type(self)(
+            routes,
+            self.slots,
+            self.settings,
+            reselection=self.rules.block,
+            coverage=self.rules.coverage,
+            allow_idle=self.rules.allow_idle,
+            threads=self._threads,
+        )
+        twin.routes = [route for route in self.routes for _ in range(copies)]
+        twin._make_room(self._room[0], self._room[1])
+        for name in KEPT:
+            axis = 1 if name in ("marks", "sums") else 0
+            getattr(twin.state, name)[...] = np.repeat(getattr(self.state, name), copies, axis)
+        for name in KEPT_BELIEF:
+            getattr(twin.minds, name)[...] = np.repeat(getattr(self.minds, name), copies, 1)
+        return twin
 
     @property
     def _replays(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from bisect import bisect_left
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -121,6 +122,12 @@ class GroundTruth:
         found = self._keys[np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)]
         right: NDArray[np.bool_] = (found == keys) & (places >= 0)
         return right
+
+    def is_true(self, place: int, frame: int) -> bool:
+        """Whether one place in [0, R), or −1 for none, is true for a frame; as :meth:`correct`."""
+        end = int(self.indptr[frame + 1])
+        at = bisect_left(self.places, place, int(self.indptr[frame]), end)
+        return at < end and bool(self.places[at] == place)
 
     def distance(
         self, predictions: ArrayLike, frames: ArrayLike | None = None

@@ -63,6 +63,7 @@ ROUTE_FEATURES = (
     "logit",
     "since_confirmed",
     "track",
+    "supported",
 )
 
 SQUASH_HALF = 4.0
@@ -75,7 +76,7 @@ SMOOTHING = 0.2
 """Weight of the newest value in every running mean of the observation."""
 
 USUAL_SMOOTHING = 0.02
-"""Weight of the newest value in what is usual for a technique; of k values 1 / k or more."""
+"""Weight of the newest value in what is usual for a technique; of the k-th at least 1 / k."""
 
 _LOG_LOW = math.log10(COMPUTE_WEIGHT_RANGE[0])
 _LOG_SPAN = math.log10(COMPUTE_WEIGHT_RANGE[1]) - _LOG_LOW
@@ -145,6 +146,7 @@ def observe_route(route: Any, out: Any) -> None:
     out[17] = squash(route.logit)
     out[18] = squash(route.since_confirmed)
     out[19] = squash(route.track)
+    out[20] = route.support
 
 
 @inner

@@ -42,6 +42,7 @@ ROUTE = np.dtype(
         ("p_correct_mean", np.float64),
         ("continues", np.float64),  # 1 if the prediction moved on by one place
         ("track", np.float64),  # tens of frames in a row on which it did
+        ("support", np.float64),  # of the prediction by other techniques than the chosen one
         ("logit", np.float64),  # of p_correct
         ("since_confirmed", np.float64),  # frames since a technique that ran confirmed it
         ("since_doubt", np.float64),
@@ -84,6 +85,7 @@ SLOT = np.dtype(
         ("trust", np.float64),  # belief: probability that a row is informative
         ("sharpness", np.float64),  # belief: how sharp they are on average, of at most 1
         ("weight", np.float64),  # of its rows, less where they repeat the ones before
+        ("likeness", np.float64),  # correlation of its row with the chosen one's on the same frame
         ("discount", np.float64),  # what MuSIC multiplies the statistic by
         ("lagged", np.int64),  # frames before this one are in the lagged sums
     ],

@@ -244,28 +244,36 @@ def prepare(run: Any, frame: int) -> bool:
 
 
 @apart
+def correlation(one: Any, past: int, other: Any, frame: int, shift: int) -> float:
+    """Mean product of the z-scores of a row's place c − shift and another row's place c.
+
+    Over all c that both have, 0 where there is none. Both rows must be there and prepared.
+    """
+    before, now = row_at(one, past), row_at(other, frame)
+    mean_before, mean_now = mean_at(one, past)[0], mean_at(other, frame)[0]
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0  # four lanes: additions of one chain wait for each other
+    pairs = now.size - shift
+    even = pairs - pairs % 4
+    for i in range(0, even, 4):
+        a += (before[i] - mean_before) * (now[i + shift] - mean_now)
+        b += (before[i + 1] - mean_before) * (now[i + 1 + shift] - mean_now)
+        c += (before[i + 2] - mean_before) * (now[i + 2 + shift] - mean_now)
+        d += (before[i + 3] - mean_before) * (now[i + 3 + shift] - mean_now)
+    for i in range(even, pairs):
+        a += (before[i] - mean_before) * (now[i + shift] - mean_now)
+    scale: float = scale_at(one, past)[0] * scale_at(other, frame)[0]
+    return ((a + b) + (c + d)) * scale / max(pairs, 1)
+
+
+@inner
 def serial_correlation(run: Any, frame: int) -> float:
     """Correlation of a frame's row with the technique's row one frame before, moved on by a place.
 
-    Mean product of the z-scores of place c − 1 then and place c now, over c = 1, …, R − 1; 0 on a
-    map of one place. Both rows must be there. It is computed once per row.
+    It is computed once per row.
     """
     known = serial_at(run, frame)
     if math.isnan(known[0]):
         prepare(run, frame - 1)  # again in an unpickled environment, whose bank starts unprepared
-        now, before = row_at(run, frame), row_at(run, frame - 1)
-        mean_now, mean_before = mean_at(run, frame)[0], mean_at(run, frame - 1)[0]
-        a, b, c, d = 0.0, 0.0, 0.0, 0.0  # four lanes: additions of one chain wait for each other
-        pairs = now.size - 1
-        even = pairs - pairs % 4
-        for i in range(0, even, 4):
-            a += (before[i] - mean_before) * (now[i + 1] - mean_now)
-            b += (before[i + 1] - mean_before) * (now[i + 2] - mean_now)
-            c += (before[i + 2] - mean_before) * (now[i + 3] - mean_now)
-            d += (before[i + 3] - mean_before) * (now[i + 4] - mean_now)
-        for i in range(even, pairs):
-            a += (before[i] - mean_before) * (now[i + 1] - mean_now)
-        scale = scale_at(run, frame)[0] * scale_at(run, frame - 1)[0] / max(pairs, 1)
-        known[0] = ((a + b) + (c + d)) * scale
-    correlation: float = known[0]
-    return correlation
+        known[0] = correlation(run, frame - 1, run, frame, 1)
+    value: float = known[0]
+    return value

@@ -6,6 +6,7 @@ implementation of everything but Gymnasium's two calling conventions.
 
 from __future__ import annotations
 
+import copy
 import inspect
 import math
 import operator
@@ -289,18 +290,23 @@ class Task:
     def correct(self, out: Outcome) -> NDArray[np.bool_]:
         """(N,) whether the predictions are true places."""
         correct = np.zeros(self.episodes.num_routes, np.bool_)
+        places, frames = out.routes["prediction"].tolist(), out.routes["frame"].tolist()
         for i, route in enumerate(self.episodes.routes):
-            place = out.routes["prediction"][i : i + 1]
-            if route is None or place < 0:
+            if route is None or places[i] < 0:
                 continue
             if route.bank.truth is None:
                 raise ValueError(
                     f"live route {route.bank.name!r} has no ground truth, which the reward asks"
                     " for; give it ground_truth, or take reward='estimated'"
                 )
-            frames = route.start + out.routes["frame"][i : i + 1]
-            correct[i] = route.bank.truth.correct(place, frames)[0]
+            correct[i] = route.bank.truth.is_true(places[i], route.start + frames[i])
         return correct
+
+    def repeated(self, copies: int) -> Task:
+        """A task whose routes stand ``copies`` times in a row, each as it is now."""
+        twin = copy.copy(self)
+        twin.episodes = self.episodes.repeated(copies)
+        return twin
 
     # --- infos ----------------------------------------------------------------------------------
 

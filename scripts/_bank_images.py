@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from _cli import Parser, by_technique, number, pairs
+from _bank_extract import Techniques, add_extraction, extract_bank
+from _cli import Parser
 
 from amusic_gym.checks import whole
 from amusic_gym.ground_truth import GroundTruth
-from amusic_gym.names import suggest
 
 _LEAST_SIZE = 16  # of a rendered image's sides, in pixels
 TRUTH_BY = ("index", "name", "position")
@@ -31,31 +31,17 @@ class _Route:
 
 def images(args: argparse.Namespace) -> None:
     """Two folders of images, or a data set -> a bank."""
-    from amusic_gym.extraction import extract
-    from amusic_gym.techniques import make_technique
-
-    specs = [spec.strip() for spec in args.techniques.split(",")]
-    files = _by_technique(args.weights, specs, "--weights")
-    techniques = [make_technique(spec, files.get(spec)) for spec in specs]
-    names = [technique.name for technique in techniques]
-    seconds = _by_technique(args.seconds, names, "--seconds")
+    techniques = Techniques.of(args)
     route = _route(args)
-    bank = extract(
+    extract_bank(
+        args,
+        techniques,
         route.reference,
         route.query,
-        techniques,
         tolerance=route.tolerance,
         ground_truth=route.ground_truth,
-        seconds={name: number(f"--seconds {name}", text) for name, text in seconds.items()},
-        measure_again=args.measure_again,
-        cache=args.cache,
-        executor=args.executor,
-        out=args.out,
         name=args.name or route.name,
-        progress=True,
     )
-    count, queries, references = bank.shape
-    print(f"{bank.path}: {count} techniques, {queries} queries, {references} references")
 
 
 def render(args: argparse.Namespace) -> None:
@@ -91,13 +77,6 @@ def _size(text: str) -> tuple[int, int]:
     if min(int(columns), int(rows)) < _LEAST_SIZE:
         raise ValueError(f"--size {text}: give at least {_LEAST_SIZE}x{_LEAST_SIZE} pixels")
     return int(columns), int(rows)
-
-
-def _by_technique(items: Sequence[str], names: Sequence[str], what: str) -> dict[str, str]:
-    found, unknown = by_technique(pairs(items, what), names)
-    if unknown:
-        raise ValueError(f"{what}: " + suggest("technique", unknown[0], names))
-    return found
 
 
 def _route(args: argparse.Namespace) -> _Route:
@@ -207,39 +186,6 @@ def add_images(commands: Any) -> Parser:
     add("--first", type=int, metavar="I", help="of a data set: the first image to take, from 0")
     add("--step", type=int, metavar="K", help="of a data set: take each K-th from there")
     add(
-        "--techniques",
-        required=True,
-        metavar="A,B",
-        help="hog, cohog, calc, netvlad, or package.module:Class",
-    )
-    add(
-        "--weights",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="NAME=FILE",
-        help="weights of a technique, in place of those that ship",
-    )
-    add(
-        "--seconds",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="NAME=S",
-        help="seconds of one run on one frame, in place of those measured here",
-    )
-    add(
-        "--measure-again",
-        action="store_true",
-        help="measure the seconds even if the cache remembers them of this machine",
-    )
-    add(
-        "--tolerance",
-        type=int,
-        metavar="N",
-        help="places to either side of the true one that count as right",
-    )
-    add(
         "--truth-by",
         choices=TRUTH_BY,
         help="frame q is at place q (index, the default); at the image with the same name; or "
@@ -258,19 +204,5 @@ def add_images(commands: Any) -> Parser:
         action="store_true",
         help="a place's neighbours with the same image, byte for byte, are true too",
     )
-    add(
-        "--cache",
-        type=Path,
-        metavar="DIR",
-        help="where finished pieces are kept (default: $XDG_CACHE_HOME/amusic-gym, or "
-        "~/.cache/amusic-gym)",
-    )
-    add(
-        "--executor",
-        default="serial",
-        metavar="serial|process:N|ray[:ADDRESS]",
-        help="where the work is done (default: %(default)s)",
-    )
-    add("--name", help="what to call it in tables (default: --out's name, or the data set's)")
-    add("--out", type=Path, required=True, metavar="BANK", help="the folder")
+    add_extraction(parser, tolerance_required=False, name="--out's name, or the data set's")
     return parser

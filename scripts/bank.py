@@ -1,4 +1,4 @@
-"""Make and inspect score banks: arrays | vprbench | images | simulate | retime | info; render."""
+"""Make and inspect banks: arrays | vprbench | images | tour | simulate | retime | info; render."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from _bank_images import add_images, add_render
+from _bank_tour import add_tour
 from _cli import Parser, number, pairs, run
 
 from amusic_gym.bank import ScoreBank
@@ -53,12 +54,12 @@ def simulate(args: argparse.Namespace) -> None:
 
 
 def retime(args: argparse.Namespace) -> None:
-    """A recording, driven through with stops, speeds and jumps -> a bank."""
+    """A recording, driven through with stops and other speeds, and with jumps -> a bank."""
     from amusic_gym.routes.retime import save_retimed
 
     # Verified: else the new checksum would vouch for damaged scores.
     bank = ScoreBank.load(args.bank, verify=True)
-    path = save_retimed(bank, args.seed, args.out, name=args.name or "")
+    path = save_retimed(bank, args.seed, args.out, args.motion, name=args.name or "")
     _tell(path, bank.shape)
 
 
@@ -144,20 +145,33 @@ def _parser() -> Parser:
     three.add_argument("--queries", type=int, metavar="Q", help="frames of the route")
     three.add_argument("--references", type=int, metavar="R", help="places on the map")
     three.add_argument("--techniques", type=int, metavar="T", help="how many techniques")
-    three.add_argument("--motion", metavar="steady|varied", help="1:1, or stops and speeds")
+    three.add_argument(
+        "--motion",
+        metavar="recorded|paced|kidnapped",
+        help="1:1 (recorded, the default); stops and other speeds; jumps besides",
+    )
 
     four = commands.add_parser(
         "retime", help="from a bank: its frames as seen with stops, speeds and jumps"
     )
     four.set_defaults(run=retime)
     four.add_argument("bank", type=Path, metavar="BANK", help="the recording")
+    four.add_argument(
+        "--motion",
+        default="kidnapped",
+        metavar="paced|kidnapped",
+        help="stops and other speeds; jumps besides (default: %(default)s)",
+    )
     four.add_argument("--seed", type=int, required=True, metavar="S", help="of the motion")
-    four.add_argument("--name", help="what to call it in tables (default: BANK's and the seed)")
+    four.add_argument(
+        "--name", help="what to call it in tables (default: BANK's, the motion and the seed)"
+    )
 
     for each in (one, two, three, four):
         each.add_argument("--out", type=Path, required=True, metavar="BANK", help="the folder")
 
     add_images(commands)
+    add_tour(commands)
     add_render(commands)
 
     five = commands.add_parser("info", help="check a bank and print what is in it")

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from amusic_gym.bank import ScoreBank
 from amusic_gym.importers import from_recording
 from amusic_gym.plots.drawing import GREY, INK, figure_at
-from amusic_gym.routes.simulate import MOTIONS, Simulation
+from amusic_gym.routes.motion import MOTIONS
+from amusic_gym.routes.simulate import Simulation
 from amusic_gym.routes.statistics import MEASURES, describe
 from amusic_gym.settings import STATISTICS
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv

@@ -46,6 +46,10 @@ def learn(given: argparse.Namespace, config: TrainingConfig) -> None:
 
     if "imitation" in config.algorithm:
         _imitate(given, config)
+    elif config.algorithm == "rollouts":
+        from agents.policy_iteration import iterate_policy
+
+        iterate_policy(given.out, config, banks=given.bank, resume=given.resume)
     else:
         start = given.warm_start
         train(given.out, config, banks=given.bank, resume=given.resume, warm_start=start)

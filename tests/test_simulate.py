@@ -10,6 +10,7 @@ import pytest
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.routes.descriptors import BLOCK, smooth, write_scores
+from amusic_gym.routes.motion import MOTIONS
 from amusic_gym.routes.simulate import Simulation, planted, simulate
 from amusic_gym.routes.statistics import MEASURES, describe
 from amusic_gym.routes.world import World, no_repeats, repeated_places
@@ -84,7 +85,7 @@ def test_shapes_names_and_costs_are_as_asked() -> None:
     assert ((bank.seconds >= 0.02) & (bank.seconds <= 2.0)).all()
 
 
-@pytest.mark.parametrize("motion", ["steady", "varied"])
+@pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize(
     ("queries", "references", "techniques"), [(1, 1, 1), (1, 7, 26), (3, 3, 2)]
 )
@@ -109,7 +110,7 @@ def test_drawn_routes_stay_within_the_ranges() -> None:
     assert simulation.most_techniques == 5
 
 
-def test_steady_motion_advances_by_one_from_any_start() -> None:
+def test_the_recorded_motion_advances_by_one_from_any_start() -> None:
     starts = set()
     for seed in range(10):
         places = centres(simulate(seed, queries=40, references=90))
@@ -119,23 +120,44 @@ def test_steady_motion_advances_by_one_from_any_start() -> None:
     assert centres(simulate(0, queries=40, references=40))[20] == 20
 
 
-def test_varied_motion_stops_hurries_and_jumps_within_the_map() -> None:
+@pytest.mark.parametrize("motion", ["paced", "kidnapped"])
+def test_the_other_motions_stop_hurry_and_jump_within_the_map(motion: Any) -> None:
     moves = []
     for seed in range(20):
-        bank = simulate(seed, queries=300, references=400, motion="varied")
+        bank = simulate(seed, queries=300, references=400, motion=motion)
         moves.extend(np.diff(centres(bank)).tolist())
     share = {step: moves.count(step) / len(moves) for step in (0, 1, 2)}
     assert share[0] > 0.05
     assert share[2] > 0.05
     assert share[1] > 0.4
     jumps = np.mean(np.abs(moves) > 10)
-    assert 0.01 < jumps < 0.05
+    assert 0.01 < jumps < 0.05 if motion == "kidnapped" else jumps < 0.005  # the end of the map
 
 
-def test_varied_motion_without_events_is_steady_until_the_map_ends() -> None:
-    simulation = replace(PLAIN, motion="varied", jump=0.0, speed_change=0.0, queries=(60, 60))
+@pytest.mark.parametrize("motion", ["paced", "kidnapped"])
+def test_without_events_every_motion_is_steady_until_the_map_ends(motion: Any) -> None:
+    simulation = replace(PLAIN, motion=motion, jump=0.0, speed_change=0.0, queries=(60, 60))
     bank = replace(simulation, references=500).route(np.random.default_rng(0))
     assert (np.diff(centres(bank)[3:]) == 1).all()
+    short = replace(simulation, references=30).route(np.random.default_rng(0))
+    assert {0, 29} < set(short.truth.places.tolist())  # there and back at the first place
+
+
+def test_a_share_of_the_routes_is_retimed_half_paced_and_half_kidnapped() -> None:
+    simulation = replace(PLAIN, queries=(4, 4), retimed=0.6)
+    names = [simulation.route(np.random.default_rng(seed)).name for seed in range(400)]
+    kinds = [name.split()[1] if " " in name else "recorded" for name in names]
+    assert kinds.count("recorded") == pytest.approx(160, abs=35)
+    assert kinds.count("paced") == pytest.approx(120, abs=35)
+    assert kinds.count("kidnapped") == pytest.approx(120, abs=35)
+
+
+def test_the_recorded_routes_of_a_seed_stay_what_they_are() -> None:
+    bank = simulate(7, queries=50)
+    assert (bank.name, bank.shape) == ("simulated-7", (4, 50, 95))
+    assert bank.scores[2, 30, :4].tolist() == pytest.approx(
+        [0.196843, 0.234906, 0.211352, 0.213575], rel=1e-5
+    )
 
 
 def test_competence_decides_how_far_the_true_place_stands_out() -> None:
@@ -349,7 +371,8 @@ def test_every_measure_is_finite_on_a_simulated_route() -> None:
         ({"seed": 0, "queries": 300, "references": 299}, "at least as many places"),
         ({"seed": 0, "techniques": 0}, "techniques is 0"),
         ({"seed": 0, "techniques": 27}, "from 1 to 26"),
-        ({"seed": 0, "motion": "stedy"}, "did you mean 'steady'"),
+        ({"seed": 0, "motion": "pased"}, "did you mean 'paced'"),
+        ({"seed": 0, "motion": "varied"}, "valid: recorded, paced, kidnapped"),
     ],
 )
 def test_simulate_refuses_bad_arguments(arguments: dict[str, Any], part: str) -> None:

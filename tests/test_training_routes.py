@@ -32,8 +32,8 @@ def test_what_is_turned_off_on_the_command_line_is_in_the_configuration():
 
 
 def test_words_of_the_command_line_become_ranges():
-    words = ["retimed=0", "wander=0:0.5", "motion=varied"]
-    assert train.ranges(words) == {"retimed": 0, "wander": (0, 0.5), "motion": "varied"}
+    words = ["retimed=0", "wander=0:0.5", "motion=kidnapped"]
+    assert train.ranges(words) == {"retimed": 0, "wander": (0, 0.5), "motion": "kidnapped"}
 
 
 def test_the_given_ranges_replace_those_of_the_population_and_no_others():

@@ -28,6 +28,7 @@ ALGORITHMS = {
     "ppo": "agents.learners.ppo",
     "imitation": "agents.imitation",
     "imitation+ppo": "agents.learners.ppo",  # after agents.imitation
+    "rollouts": "agents.policy_iteration",
     "dqn": "agents.learners.dqn",
     "maskable": "agents.learners.maskable",
     "recurrent": "agents.learners.recurrent",
@@ -98,7 +99,8 @@ def learner(algorithm: str) -> Learner:
     found: Learner | None = getattr(module, "LEARNER", None)
     if found is None:
         raise ValueError(
-            f"algorithm {algorithm!r} learns from a teacher; call agents.imitation.imitate"
+            f"algorithm {algorithm!r} does not learn step by step from rewards; call"
+            " agents.imitation.imitate or agents.policy_iteration.iterate_policy"
         )
     return found
 

@@ -21,7 +21,12 @@ from agents.adapter import SB3VecEnv
 from agents.learners import Kind
 from agents.learners.driver import NetworkSelector
 from agents.learners.sets import SetEncoder, SetSizes, presence
+from agents.network import ROUTE_WIDTH
+from amusic_gym.observation import ROUTE_FEATURES
+from amusic_gym.settings import COMPUTE_WEIGHT_RANGE
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+
+WEIGHT = ROUTE_FEATURES.index("compute_weight")
 
 MOST_SLOTS = 10
 """1024 subsets; every technique more doubles what a step costs."""
@@ -55,6 +60,8 @@ def valid(present: torch.Tensor) -> torch.Tensor:
 class SubsetNetwork(nn.Module):
     """Ratings (B, 2^S) of all subsets from observations (B, D); absent members count nothing.
 
+    A rating is the correctness that is to be expected, less λ times the compute.
+
     Args:
         sizes: of the layers.
     """
@@ -64,15 +71,28 @@ class SubsetNetwork(nn.Module):
         self.encoder = SetEncoder(sizes)
         self.member = nn.Linear(sizes.encoding, sizes.hidden, bias=False)
         self.whole = nn.Linear(self.encoder.pooled, sizes.hidden)
-        self.rating = nn.Linear(sizes.hidden, 1)
+        self.value = nn.Linear(sizes.hidden, 2)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """(B, 2^S) ratings."""
+        correctness, compute = self.values(observation).unbind(2)
+        return correctness - compute_weight(observation).unsqueeze(1) * compute
+
+    def values(self, observation: torch.Tensor) -> torch.Tensor:
+        """(B, 2^S, 2) expected correctness and compute of each subset."""
         codes, pool = self.encoder(observation)
         member = members(codes.shape[1]).float()  # (2^S, S)
         sums = torch.einsum("as,bsh->bah", member, self.member(codes))  # (B, 2^S, H)
-        ratings: torch.Tensor = self.rating(torch.tanh(sums + self.whole(pool).unsqueeze(1)))
-        return ratings.squeeze(2)
+        values: torch.Tensor = self.value(torch.relu(sums + self.whole(pool).unsqueeze(1)))
+        return values
+
+
+def compute_weight(observation: torch.Tensor) -> torch.Tensor:
+    """λ (B,) that observations (B, D) are of, within the range that they resolve."""
+    low, high = COMPUTE_WEIGHT_RANGE
+    place = 0.5 * (observation[:, WEIGHT - ROUTE_WIDTH] + 1.0)
+    weight: torch.Tensor = low * (high / low) ** place
+    return weight
 
 
 class SubsetSelector(NetworkSelector[SubsetNetwork]):

@@ -9,12 +9,15 @@ against one block, on one thread, from aligned memory.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from amusic_gym.routes.conditions import Change
+from amusic_gym.routes.images import decode_image, digest_of, read_bytes
 from amusic_gym.techniques.own_code import guarded
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
 from amusic_gym.threads import alone
@@ -32,18 +35,53 @@ class Images:
     Attributes:
         paths: N files, in the order of the traverse.
         digests: N digests of their contents.
+        changes: what is done to each once it is read, None where nothing is; () where nothing is
+            done to any.
     """
 
     paths: tuple[Path, ...]
     digests: tuple[str, ...]
+    changes: tuple[Change | None, ...] = ()
 
     def __len__(self) -> int:
         return len(self.paths)
 
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """(N,) texts that stand for what `read` gives: equal texts, equal images."""
+        if not self.changes:
+            return self.digests
+        return tuple(
+            digest if change is None else f"{digest} {change}"
+            for digest, change in zip(self.digests, self.changes, strict=True)
+        )
+
+    def read(self, at: int) -> Image:
+        """Image ``at``, changed as it is to be.
+
+        Raises:
+            FileNotFoundError: when the file is not there any more.
+            ValueError: when it is another than that of the digest.
+        """
+        data = read_bytes(self.paths[at])
+        if digest_of(data) != self.digests[at]:
+            raise ValueError(f"{self.paths[at]} was changed since this run began; run it again")
+        image = decode_image(data, self.paths[at])
+        change = self.changes[at] if self.changes else None
+        return image if change is None else change.apply(image)
+
+    def take(self, chosen: Sequence[int]) -> Images:
+        """The images of these indices, in this order."""
+        return Images(
+            tuple(self.paths[at] for at in chosen),
+            tuple(self.digests[at] for at in chosen),
+            tuple(self.changes[at] for at in chosen) if self.changes else (),
+        )
+
     def blocks(self) -> list[Images]:
         """The traverse in pieces of ``BLOCK`` images; the last may be shorter."""
         return [
-            Images(self.paths[first : first + BLOCK], self.digests[first : first + BLOCK])
+            self.take(range(first, min(first + BLOCK, len(self))))
             for first in range(0, len(self), BLOCK)
         ]
 

@@ -34,7 +34,7 @@ def images_of(folder: ImageFolder) -> Images:
         ValueError: for one that is empty, truncated or no image, before any work begins.
     """
     paths = tuple(Path(os.path.abspath(path)) for path in folder.paths)
-    return Images(paths, tuple(_digest(path) for path in paths))
+    return Images(paths, tuple(_digest(path) for path in paths), folder.changes)
 
 
 def _digest(path: Path) -> str:
@@ -74,11 +74,11 @@ class Plan:
     def descriptor_key(self, images: Images, *, query: bool) -> str:
         """Key of a block's descriptors; that of a query is a map's where they are the same."""
         side = "query" if query and not describes_queries_alike(self.technique) else "map"
-        return self.key("descriptors", side=side, images=images.digests)
+        return self.key("descriptors", side=side, images=images.keys)
 
     def score_key(self, queries: Images, references: Images) -> str:
         """Key of a block of scores."""
-        return self.key("scores", queries=queries.digests, references=references.digests)
+        return self.key("scores", queries=queries.keys, references=references.keys)
 
     def key(self, kind: str, **parts: Any) -> str:
         """Key of any other entry that belongs to this technique."""

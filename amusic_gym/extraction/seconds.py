@@ -14,7 +14,6 @@ from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.describe import Plan, describe
 from amusic_gym.extraction.executors import Workers
 from amusic_gym.extraction.progress import Progress
-from amusic_gym.routes.images import read_image
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
 from amusic_gym.threads import one_thread
 
@@ -78,7 +77,7 @@ def seconds_of(
     references = sum(len(images) for images in plan.references)
     key = plan.key(
         "seconds",
-        images=sample.digests,
+        images=sample.keys,
         references=references,
         machine=[platform.node(), platform.machine(), os.cpu_count()],
     )
@@ -87,7 +86,7 @@ def seconds_of(
         stored = describe(plan, cache, workers, progress, query=False, only=chosen)
         value = measure_seconds(
             plan.technique,
-            [read_image(path) for path in sample.paths],
+            [sample.read(at) for at in range(len(sample))],
             [aligned(block.array()) for block in stored],
             references,
         )
@@ -96,10 +95,10 @@ def seconds_of(
 
 
 def _sample(queries: Sequence[Images]) -> Images:
-    paths = [path for images in queries for path in images.paths]
-    digests = [digest for images in queries for digest in images.digests]
-    chosen = _spread(range(len(paths)), QUERIES)
-    return Images(tuple(paths[at] for at in chosen), tuple(digests[at] for at in chosen))
+    paths = tuple(path for images in queries for path in images.paths)
+    digests = tuple(digest for images in queries for digest in images.digests)
+    changes = tuple(change for images in queries for change in images.changes)
+    return Images(paths, digests, changes).take(_spread(range(len(paths)), QUERIES))
 
 
 def _spread(items: Sequence[int], count: int) -> list[int]:

@@ -18,7 +18,6 @@ from amusic_gym.extraction.blocks import (
     describe_one,
     match_one,
 )
-from amusic_gym.routes.images import decode_image, digest_of, read_bytes
 from amusic_gym.techniques.protocol import Descriptor, Technique
 from amusic_gym.threads import one_thread
 
@@ -99,14 +98,11 @@ class DescribeShard:
         return block
 
     def _describe(self, technique: Technique, at: int) -> Descriptor:
-        path = self.images.paths[at]
-        data = read_bytes(path)
-        if digest_of(data) != self.images.digests[at]:
-            raise ValueError(f"{path} was changed since this run began; run it again")
+        image = self.images.read(at)
         try:
-            return describe_one(technique, decode_image(data, path), query=self.query)
+            return describe_one(technique, image, query=self.query)
         except ValueError as error:
-            raise _at(path, error) from error.__cause__ or error
+            raise _at(self.images.paths[at], error) from error.__cause__ or error
 
 
 @dataclass(frozen=True)

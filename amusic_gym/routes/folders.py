@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from amusic_gym.checks import whole
+from amusic_gym.routes.conditions import Change
 from amusic_gym.routes.images import SUFFIXES, read_image
 from amusic_gym.routes.numbering import gaps, natural_key, path_key, same_numbers
 from amusic_gym.techniques.protocol import Image
@@ -46,12 +47,15 @@ class ImageFolder:
         paths: (N,) the images' files.
         parts: images from each of the folders joined; their sum is N. One folder is one part.
         repeats: (first, last) of each run of neighbouring images with the same bytes.
+        changes: what is done to each image once it is read, None where nothing is; () where
+            nothing is done to any. See `under`.
     """
 
     path: Path
     paths: tuple[Path, ...] = field(repr=False)
     parts: tuple[int, ...]
     repeats: tuple[tuple[int, int], ...] = field(repr=False)
+    changes: tuple[Change | None, ...] = field(repr=False)
 
     def __init__(
         self,
@@ -82,13 +86,30 @@ class ImageFolder:
         above = os.path.commonpath([os.path.abspath(part.path) for part in parts])
         repeats: list[tuple[int, int]] = []
         paths: list[Path] = []
+        changes: list[Change | None] = []
         for part in parts:
+            changes += part.changes or [None] * len(part)
             repeats += [(a + len(paths), b + len(paths)) for a, b in part.repeats]
             paths += [Path(os.path.abspath(path)) for path in part.paths]
         joined = object.__new__(cls)
         lengths = tuple(length for part in parts for length in part.parts)
-        joined._set(Path(above), tuple(paths), lengths, tuple(repeats))
+        joined._set(Path(above), tuple(paths), lengths, tuple(repeats), _or_none(changes))
         return joined
+
+    def under(self, changes: Sequence[Change | None]) -> ImageFolder:
+        """The same traverse, each image changed once it is read; the files stay as they are.
+
+        Args:
+            changes: N, in place of those that this traverse may have; None: leave that image.
+
+        Raises:
+            ValueError: for another number of them.
+        """
+        if len(changes) != len(self):
+            raise ValueError(f"{len(changes)} changes for {len(self)} images; give one for each")
+        changed = object.__new__(type(self))
+        changed._set(self.path, self.paths, self.parts, self.repeats, _or_none(changes))
+        return changed
 
     def _set(
         self,
@@ -96,11 +117,13 @@ class ImageFolder:
         paths: tuple[Path, ...],
         parts: tuple[int, ...],
         repeats: tuple[tuple[int, int], ...],
+        changes: tuple[Change | None, ...] = (),
     ) -> None:
         object.__setattr__(self, "path", path)
         object.__setattr__(self, "paths", paths)
         object.__setattr__(self, "parts", parts)
         object.__setattr__(self, "repeats", repeats)
+        object.__setattr__(self, "changes", changes)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -111,10 +134,18 @@ class ImageFolder:
         return len(self.paths)
 
     def __getitem__(self, index: int) -> Image:
-        return read_image(self.paths[operator.index(index)])
+        at = operator.index(index)
+        image = read_image(self.paths[at])
+        change = self.changes[at] if self.changes else None
+        return image if change is None else change.apply(image)
 
     def __iter__(self) -> Iterator[Image]:
-        return map(read_image, self.paths)
+        return map(self.__getitem__, range(len(self)))
+
+
+def _or_none(changes: Sequence[Change | None]) -> tuple[Change | None, ...]:
+    """``changes``; () where all are None, so that folders that read alike are equal."""
+    return tuple(changes) if any(change is not None for change in changes) else ()
 
 
 def _find_images(folder: Path) -> list[tuple[Path, int]]:

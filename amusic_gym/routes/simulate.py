@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from string import ascii_uppercase
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +25,16 @@ from numpy.typing import NDArray
 from amusic_gym.bank import ScoreBank
 from amusic_gym.names import suggest
 from amusic_gym.routes.descriptors import Look, smooth, write_scores
+from amusic_gym.routes.motion import (
+    JUMP,
+    KIDNAPPED,
+    MOTIONS,
+    PACED,
+    RECORDED,
+    SPEED_CHANGE,
+    Motion,
+    walk,
+)
 from amusic_gym.routes.ranges import (
     Range,
     check_integer,
@@ -36,19 +45,14 @@ from amusic_gym.routes.ranges import (
 )
 from amusic_gym.routes.retime import retime
 from amusic_gym.routes.world import (
-    JUMP,
-    SPEED_CHANGE,
     Ints,
     World,
     bland_places,
     decoys,
     no_repeats,
     repeated_places,
-    varied_drive,
 )
 
-Motion = Literal["steady", "varied"]
-MOTIONS: tuple[str, ...] = get_args(Motion)
 TECHNIQUE_NAMES = tuple(ascii_uppercase)  # so many techniques at most
 
 # Smallest and largest value that each range of `Simulation` may contain.
@@ -102,10 +106,10 @@ class Simulation:
     references: int | None = None  # places in the map; None: see the next two
     map_factor: Range = (1.0, 2.0)  # places per frame ...
     same_length: float = 0.5  # ... but on this share of the routes exactly as many as frames
-    motion: Motion = "steady"  # 'steady': one place per frame; 'varied': stops, speeds, jumps
-    speed_change: float = SPEED_CHANGE  # varied: chance per frame of a new speed out of SPEEDS
-    jump: float = JUMP  # varied: chance per frame of being carried to a random place
-    retimed: float = 0.0  # share of the routes whose frames are re-timed (routes.retime)
+    motion: Motion = "recorded"  # see routes.motion
+    speed_change: float = SPEED_CHANGE  # paced, kidnapped: chance per frame of another speed
+    jump: float = JUMP  # kidnapped: chance per frame of a jump to any place
+    retimed: float = 0.0  # share of the routes that are re-timed: half paced, half kidnapped
     tolerance: int = 2  # places off that still count as true
     wander: Range = (0.0, 1.3)  # places that images look ahead or behind, standard deviation ...
     wander_memory: Range = (3.0, 15.0)  # ... and the frames over which that changes
@@ -169,10 +173,11 @@ class Simulation:
         if self.references is None:
             return
         check_integer("references", self.references, 1)
-        if self.motion == "steady" and self.references < self.queries[1]:
+        if self.motion == RECORDED and self.references < self.queries[1]:
             raise ValueError(
-                f"references is {self.references}, but steady motion over {self.queries[1]} "
-                "queries needs at least as many places; raise it or use motion='varied'."
+                f"references is {self.references}, but the motion 'recorded' over "
+                f"{self.queries[1]} queries needs at least as many places; raise it or use "
+                "motion='paced'."
             )
 
     @property
@@ -205,7 +210,8 @@ class Simulation:
             copied[1:] = rng.random(techniques - 1) < self.copies
         bank = _bank(rng, world, looks, seconds, self.tolerance, name, copied)
         if rng.random() < self.retimed:
-            bank = retime(bank, int(rng.integers(2**31)))
+            seed, motion = int(rng.integers(2**31)), PACED if rng.random() < 0.5 else KIDNAPPED
+            bank = retime(bank, seed, motion)
         return bank
 
     def _map_length(self, rng: np.random.Generator, queries: int) -> int:
@@ -217,11 +223,23 @@ class Simulation:
     def _drive(
         self, rng: np.random.Generator, queries: int, references: int
     ) -> NDArray[np.float64]:
-        """Position of each frame, in places."""
-        if self.motion == "steady":
-            start = rng.integers(references - queries + 1)
-            return start + np.arange(queries, dtype=np.float64)
-        return varied_drive(rng, queries, references, self.speed_change, self.jump)
+        """Position of each frame, in places, from 0 to R - 1.
+
+        Where it is not as recorded, the drive begins anywhere in the first half of the map.
+        """
+        if self.motion == RECORDED:
+            first = rng.integers(references - queries + 1)
+            return first + np.arange(queries, dtype=np.float64)
+        place = walk(
+            rng,
+            queries,
+            references,
+            jump=self.jump if self.motion == KIDNAPPED else 0.0,
+            speed_change=self.speed_change,
+            start=float(rng.integers(references)) / 2.0,
+            between=True,
+        )
+        return np.minimum(place, references - 1.0)
 
     def _seen(
         self, rng: np.random.Generator, place: NDArray[np.float64], references: int
@@ -250,7 +268,7 @@ class Simulation:
         if rng.random() < self.exclusive:
             competence = np.where(np.arange(techniques)[:, None] == good, strong, weak)
         changes = rng.random(queries) < 1.0 / rng.uniform(*self.regime_length)
-        regime: Ints = np.cumsum(changes, dtype=np.int64)  # (Q,)
+        regime = np.cumsum(changes, dtype=np.int64)  # (Q,)
         return competence, no_repeats(rng, int(regime[-1]) + 1, count)[regime], regime
 
     def _decoys(
@@ -348,7 +366,7 @@ def simulate(
     queries: int = 300,
     references: int | None = None,
     techniques: int = 4,
-    motion: Motion = "steady",
+    motion: Motion = "recorded",
     simulation: Simulation | None = None,
 ) -> ScoreBank:
     """One simulated route of the given size, the same for the same arguments.
@@ -358,7 +376,8 @@ def simulate(
         queries: frames Q.
         references: places R; None draws between Q and 2 Q (and often Q itself).
         techniques: T, at most 26; they are called A, B, C, ...
-        motion: 'steady' (the true place advances by one per frame) or 'varied'.
+        motion: 'recorded' (the true place advances by one per frame), 'paced' (stops and other
+            speeds) or 'kidnapped' (jumps besides).
         simulation: the ranges everything else is drawn from; None: the defaults.
 
     Raises:

@@ -12,11 +12,6 @@ from amusic_gym.routes.ranges import draw_integer
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
-# How a robot moves that does not drive steadily: here, and over recordings in `retime`.
-SPEEDS = (1.0, 1.0, 1.0, 1.0, 0.5, 1.5, 0.0, 2.0)  # places per frame
-SPEED_CHANGE = 0.03  # chance per frame of drawing a new speed out of SPEEDS
-JUMP = 0.02  # chance per frame of being carried to a random place
-
 
 @dataclass(frozen=True)
 class World:
@@ -30,31 +25,6 @@ class World:
     bland: Floats  # (R,) +1 hub, -1 void, 0 neither
     decoy: NDArray[np.float64] | None = None  # (T, Q) a wrong position that images look like, too
     lure: NDArray[np.float64] | None = None  # (T, Q) how much of the noise looks like it, 0 .. 1
-
-
-def varied_drive(
-    rng: np.random.Generator, queries: int, references: int, speed_change: float, jump: float
-) -> NDArray[np.float64]:
-    """Positions (Q,) of a robot that stops, drives slower and faster, and is carried away.
-
-    The motion of `retime.retimed_frames`, but that it may also be between two places, begins
-    anywhere in the first half of the map, and that a jump lands on the drawn place itself.
-    """
-    jumps = (rng.random(queries) < jump).tolist()
-    changes = (rng.random(queries) < speed_change).tolist()
-    targets = (rng.random(queries) * (references - 1)).tolist()
-    speeds = rng.choice(SPEEDS, queries).tolist()
-    position, speed, places = float(rng.integers(references)) / 2.0, 1.0, [0.0] * queries
-    for q in range(queries):  # scalars only: tens of nanoseconds per frame
-        if jumps[q]:
-            position = targets[q]
-        if changes[q]:
-            speed = speeds[q]
-        if position > references - 1:  # the end of the map: start again in its first half
-            position = targets[q] / 2.0
-        places[q] = position
-        position += speed
-    return np.asarray(places)
 
 
 def decoys(

@@ -1,0 +1,373 @@
+"""Policy iteration by rollouts: what does it lead to, to run this subset of techniques now?
+
+On frames of simulated drives the routes are copied. Each copy runs another subset of techniques for
+some frames, and goes on as the policy so far would. What comes of it, in correctness and in
+compute, is what a network learns to predict from the observation; the next policy runs the subset
+of which it expects most. Lagoudakis and Parr, "Reinforcement learning as classification: leveraging
+modern classifiers", ICML 2003; here the values are fitted, not classes, because no drive tells
+beforehand which technique will be right.
+
+A policy gradient does not find this by itself: a technique that is asked alone for some frames pays,
+one that is asked together with those that mislead does not, and so the way there leads downhill.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from agents.config import RolloutConfig, TrainingConfig, stored_banks, stored_config
+from agents.evaluation import Evaluation, HeldOut
+from agents.keeper import Records
+from agents.learners.common import make_env
+from agents.learners.sets import SetSizes
+from agents.learners.subsets import SubsetNetwork, SubsetSelector
+from agents.run_folder import CHECKPOINT, check_layers, read_tensors, write_tensors
+from agents.selector import load_selector
+from agents.training import bank_folders, refuse_used, training_source
+from amusic_gym.policy import Selector
+from amusic_gym.sources import BankLike, RouteSource
+from amusic_gym.task import Task
+from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+
+SPELL = (3, 50)
+"""Frames for which a route of a collection is driven in one way: by the policy, or by a subset."""
+
+
+class Samples(NamedTuple):
+    """What rollouts from n states by B subsets each came to.
+
+    Attributes:
+        observations: (n, D) float32.
+        subsets: (n, B) number of each subset: bit t for slot t.
+        correctness: (n, B) float32, discounted mean of the reward without compute.
+        compute: (n, B) float32, discounted mean of the compute.
+    """
+
+    observations: NDArray[np.float32]
+    subsets: NDArray[np.int64]
+    correctness: NDArray[np.float32]
+    compute: NDArray[np.float32]
+
+
+def iterate_policy(
+    out: str | Path,
+    config: TrainingConfig,
+    *,
+    banks: Sequence[BankLike] = (),
+    source: RouteSource | None = None,
+    resume: bool = False,
+    progress: bool = True,
+) -> Selector:
+    """Train a selector by policy iteration and keep the best in a run folder.
+
+    Args:
+        out: the run folder.
+        config: how; ``config.rollouts`` above all.
+        banks: banks to drive on; none: simulated routes.
+        source: routes to drive on, instead of banks or the default simulation.
+        resume: go on after the folder's last whole iteration, with its configuration and banks, and
+            with the same result as without a stop. A finished one is returned as it is.
+        progress: whether to show a progress bar.
+
+    Returns:
+        The best selector by evaluation on held-out simulated routes.
+
+    Raises:
+        FileNotFoundError: if there is nothing to resume, or a bank is missing.
+        ValueError: if the folder holds another training or is damaged, or a route is live.
+    """
+    out = Path(out)
+    if resume:
+        config = stored_config(out)
+        banks = banks if banks or source else stored_banks(out)
+    else:
+        refuse_used(out)
+    iteration = PolicyIteration(out, config, source or training_source(config, banks))
+    iteration.records.banks = bank_folders(source, banks)
+    if resume:
+        iteration.restore()
+    iteration.records.write()
+    iteration.run(progress)
+    return load_selector(out)
+
+
+class PolicyIteration:
+    """The iterations, and what they leave on disk.
+
+    Args:
+        out: the run folder.
+        config: how; ``config.rollouts`` above all.
+        source: routes to drive on.
+    """
+
+    def __init__(self, out: Path, config: TrainingConfig, source: RouteSource) -> None:
+        self.out = out
+        self.config = config
+        self.settings: RolloutConfig = config.rollouts
+        self.env = make_env(config, source)
+        self.records = Records(out, config, [], "subsets", SetSizes())
+        self.held_out = HeldOut(config.held_out, config.statistic)
+        self.policy: SubsetSelector | None = None
+        self.seen: list[Samples] = []  # of the last iterations
+        self.done = 0  # iterations
+
+    def run(self, progress: bool) -> None:
+        """Collect, learn, evaluate and keep, iteration by iteration."""
+        total = self.settings.iterations * self.settings.states
+        begun = self.done * self.settings.states
+        with tqdm(total=total, initial=begun, desc="rollouts", disable=not progress) as bar:
+            while self.done < self.settings.iterations:
+                self._iterate(bar)
+
+    def _iterate(self, bar: tqdm) -> None:
+        rng = np.random.default_rng([self.config.seed, self.done])
+        self.seen = [*self.seen, collect(self.env, self.policy, self.settings, rng, bar)]
+        self.seen = self.seen[-self.settings.kept :]
+        torch.manual_seed(int(rng.integers(2**31)))
+        network = SubsetNetwork(SetSizes())
+        loss = learn(network, self.seen, self.settings, rng)
+        self.policy = SubsetSelector(network, self.config.statistic)
+        self.done += 1
+        result = self.held_out.evaluate(self.policy, self.done * self.settings.states)
+        self.records.add(result, network)
+        self._save(network)
+        bar.set_postfix(loss=f"{loss:.3f}", score=f"{result.score:.3f}")
+
+    # ---- on disk ---------------------------------------------------------------------------
+
+    def _save(self, network: SubsetNetwork) -> None:
+        tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
+        for i, samples in enumerate(self.seen):
+            for name, array in samples._asdict().items():
+                tensors[f"seen.{i}.{name}"] = torch.from_numpy(array)
+        metadata = {
+            "done": str(self.done),
+            "evaluations": json.dumps(self.records.evaluations),
+        }
+        write_tensors(self.out / CHECKPOINT, tensors, metadata)
+
+    def restore(self) -> None:
+        """Go back to the end of the last whole iteration; before the first, to the beginning.
+
+        Raises:
+            ValueError: if the checkpoint is damaged.
+        """
+        path = self.out / CHECKPOINT
+        if not path.exists():  # stopped within the first iteration
+            return
+        tensors, metadata = read_tensors(path)
+        network = SubsetNetwork(SetSizes())
+        prefix = "network."
+        weights = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+        check_layers(path, weights, network.state_dict())
+        network.load_state_dict(weights)
+        self.policy = SubsetSelector(network, self.config.statistic)
+        try:
+            self.done = int(metadata["done"])
+            kept = min(self.done, self.settings.kept)
+            self.seen = [
+                Samples(*(tensors[f"seen.{i}.{name}"].numpy() for name in Samples._fields))
+                for i in range(kept)
+            ]
+            rows = json.loads(metadata["evaluations"])
+            self.records.evaluations = [Evaluation(*row) for row in rows]
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} holds no whole checkpoint ({error}); train again") from error
+
+
+# ---- collecting ----------------------------------------------------------------------------
+
+
+class Behaviour:
+    """How the drives of a collection go: each spell by the policy, or by one subset.
+
+    Spells of a subset bring a drive where the policy would not, and where it must find back from.
+
+    Args:
+        routes: N.
+        slots: S.
+        policy: the policy so far; None: subsets only.
+        share: of the spells that the policy drives.
+        rng: of all that is drawn.
+    """
+
+    def __init__(
+        self,
+        routes: int,
+        slots: int,
+        policy: SubsetSelector | None,
+        share: float,
+        rng: np.random.Generator,
+    ) -> None:
+        self.policy = policy
+        self.share = share if policy is not None else 0.0
+        self.rng = rng
+        self.left = np.zeros(routes, np.int64)  # frames of the spell
+        self.own = np.zeros(routes, np.bool_)  # driven by the policy
+        self.subset = np.zeros((routes, slots), np.bool_)
+
+    def act(
+        self, observation: NDArray[np.float32], present: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """Actions (N, S) from observations (N, D) and which slots hold a technique (N, S)."""
+        for i in np.flatnonzero(self.left <= 0):
+            self.left[i] = self.rng.integers(*SPELL)
+            self.own[i] = self.rng.random() < self.share
+            self.subset[i] = draw_subset(present[i], (1, 1, 1, 2, 2, 3, 99), self.rng)
+        self.left -= 1
+        if self.policy is None:
+            return self.subset.copy()
+        return np.where(self.own[:, None], self.policy.act(observation, {}), self.subset)
+
+
+def draw_subset(
+    present: NDArray[np.bool_], sizes: Sequence[int], rng: np.random.Generator
+) -> NDArray[np.bool_]:
+    """A subset (S,) of the techniques that are there, of a size drawn from ``sizes``."""
+    there = np.flatnonzero(present)
+    size = min(int(rng.choice(sizes)), there.size)
+    subset = np.zeros(present.size, np.bool_)
+    subset[rng.choice(there, size, replace=False)] = True
+    return subset
+
+
+def draw_subsets(
+    action: NDArray[np.bool_], present: NDArray[np.bool_], count: int, rng: np.random.Generator
+) -> NDArray[np.bool_]:
+    """(B, S) subsets to try in a state: the policy's, single techniques, all, and others."""
+    singles = rng.permutation(np.flatnonzero(present))[: count - 3]
+    rest = count - 2 - singles.size
+    others = [draw_subset(present, (2, 2, 2, 3, 99), rng) for _ in range(rest)]
+    return np.array([action, *np.eye(present.size, dtype=np.bool_)[singles], present, *others])
+
+
+def collect(
+    env: TechniqueSelectionVectorEnv,
+    policy: SubsetSelector | None,
+    settings: RolloutConfig,
+    rng: np.random.Generator,
+    bar: tqdm,
+) -> Samples:
+    """Drive, and try subsets by rollouts on every so many frames.
+
+    Args:
+        env: the routes; with SAME_STEP autoreset.
+        policy: the policy so far; None at first: then a subset runs to the end of its rollout.
+        settings: how many states, subsets and frames.
+        rng: of all that is drawn.
+        bar: moves on by the states.
+    """
+    slots = env.task.slots
+    observation, info = env.reset(seed=int(rng.integers(2**31)))
+    drives = Behaviour(env.num_envs, slots, policy, settings.share, rng)
+    parts: list[Samples] = []
+    steps = -(-settings.states // env.num_envs) * settings.every
+    for step in range(steps):
+        actions = drives.act(observation, info["present"])
+        observation, _, terminated, truncated, info = env.step(actions)
+        drives.left[terminated | truncated] = 0
+        if (step + 1) % settings.every:
+            continue
+        own = drives.subset if policy is None else policy.act(observation, {})
+        subsets = np.stack(
+            [
+                draw_subsets(action, present, settings.subsets, rng)
+                for action, present in zip(own, info["present"], strict=True)
+            ]
+        )  # (N, B, S)
+        correctness, compute = roll_out(env.task, subsets, policy, settings)
+        numbers = (subsets * (1 << np.arange(slots))).sum(2)
+        parts.append(Samples(observation.copy(), numbers, correctness, compute))
+        bar.update(env.num_envs)
+    return Samples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def roll_out(
+    task: Task,
+    subsets: NDArray[np.bool_],
+    policy: SubsetSelector | None,
+    settings: RolloutConfig,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """What each subset leads to, from where the routes are.
+
+    Args:
+        task: N routes; they stay as they are.
+        subsets: (N, B, S) to run at first.
+        policy: goes on after ``settings.hold`` frames; None: the subset does.
+        settings: frames and discount.
+
+    Returns:
+        (N, B) discounted means per frame of the reward without compute, and of the compute.
+    """
+    routes, count, slots = subsets.shape
+    copies = task.repeated(count)
+    first = subsets.reshape(-1, slots)
+    active = np.ones(len(first), np.bool_)
+    sums = np.zeros((2, len(first)))
+    weight, weights = 1.0, 0.0
+    observation: NDArray[np.float32] | None = None
+    for frame in range(settings.horizon):
+        if frame < settings.hold or policy is None or observation is None:
+            actions = first
+        else:
+            actions = policy.act(observation, {})
+        out, _, terms = copies.step(actions, active)
+        rewards = sum((v for k, v in terms.items() if k != "compute"), np.zeros(len(first)))
+        sums += weight * np.where(active, [rewards, out.routes["compute"]], 0.0)
+        weights += weight
+        weight *= settings.discount
+        active &= ~copies.ends(out)[0]
+        observation = out.observation
+        if not active.any():
+            break
+    correctness, compute = (sums / weights).astype(np.float32).reshape(2, routes, count)
+    return correctness, compute
+
+
+# ---- learning ------------------------------------------------------------------------------
+
+
+def learn(
+    network: SubsetNetwork,
+    seen: Sequence[Samples],
+    settings: RolloutConfig,
+    rng: np.random.Generator,
+) -> float:
+    """Fit a network to what rollouts came to; mean loss of the last pass.
+
+    Only differences between the subsets of a state count: from there on the drives are the same.
+    """
+    columns = [np.concatenate(column) for column in zip(*seen, strict=True)]
+    observations, subsets, *values = (torch.from_numpy(column) for column in columns)
+    target = centred(torch.stack(values, dim=2))  # (n, B, 2)
+    batches = len(subsets) // settings.batch_size
+    steps = settings.epochs * batches
+    optimiser = torch.optim.Adam(network.parameters(), weight_decay=1e-5)
+    losses = np.zeros(steps)
+    for step in range(steps):
+        if step % batches == 0:
+            order = torch.from_numpy(rng.permutation(len(subsets)))
+        batch = order[step % batches :: batches]
+        optimiser.param_groups[0]["lr"] = settings.learning_rate * (1.0 - step / steps)
+        values_of = network.values(observations[batch])  # (b, 2^S, 2)
+        index = subsets[batch].unsqueeze(2).expand(-1, -1, 2)
+        error = centred(values_of.gather(1, index)) - target[batch]
+        loss = 100.0 * (error**2).mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses[step] = loss.detach()
+    return float(losses[-batches:].mean())
+
+
+def centred(values: torch.Tensor) -> torch.Tensor:
+    """Values (n, B, 2) less their mean over the subsets."""
+    return values - values.mean(1, keepdim=True)
