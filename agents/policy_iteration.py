@@ -134,7 +134,7 @@ class PolicyIteration:
         torch.manual_seed(int(rng.integers(2**31)))
         network = SubsetNetwork(SetSizes())
         loss = learn(network, self.seen, self.settings, rng)
-        self.policy = SubsetSelector(network, self.config.statistic)
+        self.policy = SubsetSelector(network, self.config.statistic, self.config.environment())
         self.done += 1
         result = self.held_out.evaluate(self.policy, self.done * self.settings.states)
         self.records.add(result, network)
@@ -169,7 +169,7 @@ class PolicyIteration:
         weights = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
         check_layers(path, weights, network.state_dict())
         network.load_state_dict(weights)
-        self.policy = SubsetSelector(network, self.config.statistic)
+        self.policy = SubsetSelector(network, self.config.statistic, self.config.environment())
         try:
             self.done = int(metadata["done"])
             kept = min(self.done, self.settings.kept)

@@ -96,10 +96,14 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     | logit | squash of log(p̂ / (1 − p̂)), which lies between −30 and 30 |
     | since_confirmed | squash of the frames since a technique that ran confirmed the prediction |
     | track | squash of a tenth of the frames in a row on which the prediction continued |
+    | supported | how far another technique supports the prediction, see below; 0 with `belief` |
 
     A technique's *weight* is what MuSIC multiplies its statistic by, √((1 − ρ) / (1 + ρ)) with ρ
     the correlation of its neighbouring rows; 1 without `discount`. The route's *margin* is between
-    statistics so multiplied.
+    statistics so multiplied. A technique other than the trusted one *supports* the prediction if
+    its last match, moved along its diagonal, is the fused one: by 0.98 to the power of that match's
+    age, times 1 less the correlation of its row with the trusted technique's where both ran last.
+    The highest counts.
 
     With `belief`, a technique's *statistic* is the log-odds of the place that its last row and the
     belief before it make the most probable, within the tolerance; its *margin* the logarithm of
@@ -148,8 +152,8 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
 
     ## Version History
     * v0: may change until release 1.0.0. The observation is of version 4: confirms, confirmation,
-      support_usual and dissent of each technique, and logit, since_confirmed and track of the
-      route, came at the end of their groups. The default statistic went from `belief` to
+      support_usual and dissent of each technique, and logit, since_confirmed, track and supported
+      of the route, came at the end of their groups. The default statistic went from `belief` to
       `evidence`, with carried candidates and the discount.
     """
 

@@ -37,7 +37,7 @@ def test_layout_is_the_documented_one(bank):
     assert TechniqueSelectionEnv(bank).reset(seed=0)[0].shape == (len(names),)
     assert names[0] == "T0.present"
     assert names[len(TECHNIQUE_FEATURES)] == "T1.present"
-    assert names[-1] == "route.track"
+    assert names[-1] == "route.supported"
 
 
 def squash(value: float) -> float:
@@ -82,6 +82,20 @@ class Observer:
             )
         if keep:
             self.memory.note(result, frame)
+            self.route["supported"] = self.support(result, frame)
+
+    def support(self, result: oracle.Music, frame: int) -> float:
+        """How far another technique than the chosen one supports what MuSIC says."""
+        best, chosen = 0.0, self.z[result.technique][frame]
+        for t, slot in enumerate(self.slots):
+            if t == result.technique or slot["last"] < 0:
+                continue
+            if slot["last"] == frame:
+                slot["likeness"] = float(np.dot(chosen, self.z[t][frame])) / len(chosen)
+            age = frame - slot["last"]
+            if abs(slot["place"] + age - result.place) <= self.bank.tolerance:
+                best = max(best, (1 - min(max(slot["likeness"], 0), 1)) * 0.98**age)
+        return best
 
     def note(self, frame: int, info: dict) -> None:
         """Take in what a step's infos say."""
@@ -190,6 +204,7 @@ class Observer:
             squash(self.logit(info)),
             squash(route["since_confirmed"]),
             squash(route["track"]),
+            route["supported"],
         ]
 
     def logit(self, info: dict) -> float:
