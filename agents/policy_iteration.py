@@ -7,8 +7,9 @@ of which it expects most. Lagoudakis and Parr, "Reinforcement learning as classi
 modern classifiers", ICML 2003; here the values are fitted, not classes, because no drive tells
 beforehand which technique will be right.
 
-A policy gradient does not find this by itself: a technique that is asked alone for some frames pays,
-one that is asked together with those that mislead does not, and so the way there leads downhill.
+A policy gradient does not find this by itself: a technique that is asked alone for some frames
+pays, one that is asked together with those that mislead does not, and so the way there leads
+downhill.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ UNCALIBRATED = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
 def coefficients(statistic: str) -> NDArray[np.float64]:
     """Coefficients (5,) of the calibration for a statistic.
 
-    ``mean`` and ``evidence``: logit p̂ = b₀ + b₁s + b₂t + b₃u + b₄m where the fused winner has a rival
-    beyond the tolerance, and b₅ + b₆s + b₇t + b₈u where it has none. Here s = asinh(statistic),
+    ``mean`` and ``evidence``: logit p̂ = b₀ + b₁s + b₂t + b₃u + b₄m where the fused winner has a
+    rival beyond the tolerance, and b₅ + b₆s + b₇t + b₈u where it has none. Here s = asinh(statistic),
     discounted, m = asinh(margin), t = log(1 + frames in a row on which the prediction moved on by
     one place), and u ∈ [0, 1] the support by other techniques (``support_of`` in
     :mod:`amusic_gym.dynamics`).

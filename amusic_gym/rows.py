@@ -262,7 +262,8 @@ def correlation(one: Any, past: int, other: Any, frame: int, shift: int) -> floa
     for i in range(even, pairs):
         a += (before[i] - mean_before) * (now[i + shift] - mean_now)
     scale: float = scale_at(one, past)[0] * scale_at(other, frame)[0]
-    return ((a + b) + (c + d)) * scale / max(pairs, 1)
+    mean: float = ((a + b) + (c + d)) * scale / max(pairs, 1)
+    return mean
 
 
 @inner

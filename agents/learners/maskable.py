@@ -28,7 +28,7 @@ class _ActorCritic(nn.Module):
     def __init__(self, sizes: SetSizes) -> None:
         super().__init__()
         self.actor = SubsetNetwork(sizes)
-        nn.init.orthogonal_(self.actor.rating.weight, 0.01)  # at first all subsets are alike
+        nn.init.orthogonal_(self.actor.value.weight, 0.01)  # at first all subsets are alike
         self.encoder = SetEncoder(sizes)
         self.critic = nn.Sequential(nn.Linear(self.encoder.pooled, sizes.hidden), nn.Tanh())
         self.latent_dim_vf = sizes.hidden
