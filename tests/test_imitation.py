@@ -658,5 +658,5 @@ def test_the_command_imitates_alone_and_warm_starts_from_it(tmp_path, command):
 
 
 def test_models_of_imitation_are_refused():
-    with pytest.raises(ValueError, match="learns from a teacher"):
+    with pytest.raises(ValueError, match="does not learn step by step"):
         make_model(small(), SimulatedRoutes(pool=1))

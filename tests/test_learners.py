@@ -156,7 +156,7 @@ def good_and_useless() -> ScoreBank:
 
 @pytest.mark.parametrize(
     ("algorithm", "batch_size", "learning_rate"),
-    [("dqn", 128, 0.01), ("maskable", 256, 0.01), ("recurrent", 128, 0.01)],
+    [("dqn", 128, 0.01), ("maskable", 256, 0.01), ("recurrent", 64, 0.01)],
 )
 def test_an_algorithm_finds_the_one_technique_that_is_worth_its_cost(
     algorithm, batch_size, learning_rate, tmp_path
@@ -187,7 +187,7 @@ def test_unknown_algorithms_and_kinds_are_refused_with_the_nearest():
         learners.learner("pqo")
     with pytest.raises(ValueError, match="kind of selector 'subset'.*'subsets'"):
         learners.kind("subset")
-    with pytest.raises(ValueError, match="'imitation' learns from a teacher; call"):
+    with pytest.raises(ValueError, match="'imitation' does not learn step by step from rewards; call"):
         learners.learner("imitation")
 
 
@@ -245,7 +245,7 @@ def subset_network() -> SubsetNetwork:
     network = SubsetNetwork(SetSizes(hidden=16, encoding=8))
     with torch.no_grad():  # ratings that differ, as they do after training
         network.member.weight.mul_(10.0)
-        network.rating.weight.mul_(10.0)
+        network.value.weight.mul_(10.0)
     return network
 
 
