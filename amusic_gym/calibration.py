@@ -34,10 +34,10 @@ def coefficients(statistic: str) -> NDArray[np.float64]:
     """Coefficients (5,) of the calibration for a statistic.
 
     ``mean`` and ``evidence``: logit p̂ = b₀ + b₁s + b₂t + b₃u + b₄m where the fused winner has a
-    rival beyond the tolerance, and b₅ + b₆s + b₇t + b₈u where it has none. Here s = asinh(statistic),
-    discounted, m = asinh(margin), t = log(1 + frames in a row on which the prediction moved on by
-    one place), and u ∈ [0, 1] the support by other techniques (``support_of`` in
-    :mod:`amusic_gym.dynamics`).
+    rival beyond the tolerance, and b₅ + b₆s + b₇t + b₈u where it has none. Here s =
+    asinh(statistic), discounted, m = asinh(margin), t = log(1 + frames in a row on which the
+    prediction moved on by one place), and u ∈ [0, 1] the support by other techniques
+    (``support_of`` in :mod:`amusic_gym.dynamics`).
 
     ``belief``: logit p̂ = b₀ + b₁s + b₂m + b₃l + b₄a. Here s is the log-odds of the belief within
     the tolerance of the prediction, m the logarithm of its ratio to the belief around the best

@@ -187,7 +187,9 @@ def test_unknown_algorithms_and_kinds_are_refused_with_the_nearest():
         learners.learner("pqo")
     with pytest.raises(ValueError, match="kind of selector 'subset'.*'subsets'"):
         learners.kind("subset")
-    with pytest.raises(ValueError, match="'imitation' does not learn step by step from rewards; call"):
+    with pytest.raises(
+        ValueError, match="'imitation' does not learn step by step from rewards; call"
+    ):
         learners.learner("imitation")
 
 
