@@ -41,7 +41,8 @@ def collect(banks: list[ScoreBank], statistic: str, candidates: int, act: Action
     env = TechniqueSelectionVectorEnv(
         len(banks), list(banks), slots=slots, statistic=statistic, candidates=candidates
     )
-    episodes, names = env.task.episodes, SIC_INPUTS
+    episodes = env.task.episodes
+    names: tuple[str, ...] = SIC_INPUTS
     if statistic == "belief":  # its confidence is a calibrated one
         episodes.rules.calibration[:] = UNCALIBRATED
         names = BELIEF_INPUTS
@@ -64,7 +65,8 @@ def sic_fit(samples: Samples, *, rival: bool) -> list[float]:
     confidence, discount, tens, support, margin = inputs[(inputs[:, -1] != 0.0) == rival].T
     statistic, track = confidence * discount, 10.0 * tens
     made = design(statistic, track, support, margin if rival else None)
-    return np.round(fit(made, correct[(inputs[:, -1] != 0.0) == rival]), 4).tolist()
+    found: list[float] = np.round(fit(made, correct[(inputs[:, -1] != 0.0) == rival]), 4).tolist()
+    return found
 
 
 def calibrate(banks: list[ScoreBank], statistic: str, seed: int) -> dict[str, list[float]]:
