@@ -7,9 +7,8 @@ of which it expects most. Lagoudakis and Parr, "Reinforcement learning as classi
 modern classifiers", ICML 2003; here the values are fitted, not classes, because no drive tells
 beforehand which technique will be right.
 
-A policy gradient does not find this by itself: a technique that is asked alone for some frames
-pays, one that is asked together with those that mislead does not, and so the way there leads
-downhill.
+A policy gradient does not find this by itself: a good technique that runs alone pays, one that runs
+beside those that mislead does not, so that every small step towards it costs more than it gives.
 """
 
 from __future__ import annotations
@@ -40,6 +39,10 @@ from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 SPELL = (3, 50)
 """Frames for which a route of a collection is driven in one way: by the policy, or by a subset."""
+
+
+PACE = 2
+"""Frames between two decisions of the policy in a rollout; half of the time goes into them."""
 
 
 class Samples(NamedTuple):
@@ -313,12 +316,11 @@ def roll_out(
     first = subsets.reshape(-1, slots)
     active = np.ones(len(first), np.bool_)
     sums = np.zeros((2, len(first)))
-    weight, weights = 1.0, 0.0
+    actions, weight, weights = first, 1.0, 0.0
     observation: NDArray[np.float32] | None = None
     for frame in range(settings.horizon):
-        if frame < settings.hold or policy is None or observation is None:
-            actions = first
-        else:
+        since = frame - settings.hold
+        if policy is not None and observation is not None and since >= 0 and since % PACE == 0:
             actions = policy.act(observation, {})
         out, _, terms = copies.step(actions, active)
         rewards = sum((v for k, v in terms.items() if k != "compute"), np.zeros(len(first)))
