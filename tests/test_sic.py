@@ -157,9 +157,7 @@ def test_environment_is_the_loops(seed, size, levels, chosen, activity, block, i
     arguments = {"reselection": block, "coverage": 0.6, "allow_idle": idle}
     env = TechniqueSelectionEnv(bank, **vars(chosen), **arguments)
     infos = infos_of(env, actions, options={"start": start})
-    expected = follow(
-        bank, actions, chosen, block=block or 0, share=0.6, idle=idle, start=start
-    )
+    expected = follow(bank, actions, chosen, block=block or 0, share=0.6, idle=idle, start=start)
     assert_route(infos, expected, bank.seconds)
     assert_details(infos, expected, bank.tolerance, chosen.statistic)
 
