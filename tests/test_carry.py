@@ -177,10 +177,10 @@ def test_rows_of_the_opposite_kind_are_not_worth_more_than_independent_ones():
 
 def test_music_chooses_by_the_discounted_statistic_but_tells_the_plain_one():
     rng = np.random.default_rng(0)
-    wall = np.convolve(rng.normal(size=400), np.ones(40), "same")
+    wall = np.convolve(rng.normal(size=400), np.ones(12), "same")
     blurry = np.array([wall[100 - q : 300 - q] for q in range(50)])  # the same, moved on
     sharp = rng.normal(size=(50, 200))
-    sharp[np.arange(50), 60 + np.arange(50)] += 1.8
+    sharp[np.arange(50), 60 + np.arange(50)] += 1.5
     infos, plain = (
         infos_of(
             TechniqueSelectionEnv(bank_from(blurry, sharp), discount=discount),
