@@ -298,8 +298,8 @@ def measure_part(material: Material, name: str, **other: Any) -> Measured:
         _play_checked(env, material, material.everything, {"start": material.starts})
         steppers.append(_stepper(env, material.everything, sizes.steps))
     units = sizes.steps * sizes.routes
-    on, off = (Side(name, step, units) for step in steppers)
-    medians = interleave(on, off, sizes.rounds)
+    with_it, without = (Side(name, step, units) for step in steppers)
+    medians = interleave(with_it, without, sizes.rounds)
     return Measured(1.0 / medians.faster, medians, "step", f"with {name}", "without")
 
 

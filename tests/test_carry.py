@@ -108,6 +108,14 @@ def test_of_equal_ones_the_rows_best_is_first_then_the_own_match_then_the_last_p
     assert sic.correct([0, 5, 0, 5.1, 0, 6], fused=3).place == 3
 
 
+def test_in_the_environment_the_own_match_is_before_the_last_prediction():
+    sure, torn = [[0, 0, 9, 0, 0, 0], [0] * 6], [[3, 0, 3, 0, 0, 0], [0, 5, 0, 5, 0, 6]]
+    env = TechniqueSelectionEnv(bank_from(sure, torn), candidates=1, reselection=1)
+    infos = infos_of(env, [[1, 1, 0], [0, 1, 0]])
+    assert [info["prediction"] for info in infos] == [2, 1]
+    assert [info["place"][1] for info in infos] == [0, 1]  # 3 is as good
+
+
 def test_what_is_carried_beyond_the_map_is_dropped():
     sic = SIC(3, SICSettings(candidates=1))
     assert sic.correct([0, 0, 1]).place == 2

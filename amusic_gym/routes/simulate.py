@@ -250,7 +250,7 @@ class Simulation:
         if rng.random() < self.exclusive:
             competence = np.where(np.arange(techniques)[:, None] == good, strong, weak)
         changes = rng.random(queries) < 1.0 / rng.uniform(*self.regime_length)
-        regime = np.cumsum(changes)  # (Q,)
+        regime = np.cumsum(changes, dtype=np.int64)  # (Q,)
         return competence, no_repeats(rng, int(regime[-1]) + 1, count)[regime], regime
 
     def _decoys(
@@ -338,7 +338,7 @@ TOURS = Simulation(
 
 
 def population(statistic: str) -> Simulation:
-    """The routes that p̂ and selectors of a statistic are fitted on: of the motion it is made for."""
+    """The routes that p̂ and selectors of a statistic are fitted on, of the motion it is for."""
     return POPULATION if statistic == "belief" else TOURS
 
 
