@@ -13,8 +13,10 @@ from env_cases import assert_same, infos_of, noisy_bank, play, random_actions, r
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_cases import NAMES, pair
+from selection_cases import assert_details, assert_route, follow
 
 from amusic_gym import live_rows
+from amusic_gym import sic as kernels
 from amusic_gym.bank import ScoreBank
 from amusic_gym.dynamics import IDLE_DECAY
 from amusic_gym.env import TechniqueSelectionEnv
@@ -22,7 +24,6 @@ from amusic_gym.settings import SICSettings
 from amusic_gym.sic import SIC
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
-CLOSE = {"rtol": 1e-9, "atol": 1e-9}
 TWINS = [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))]
 
 cached_pair = cache(pair)
@@ -143,6 +144,21 @@ def test_a_technique_takes_up_the_last_prediction_of_another():
     assert infos[2]["correction"][1] > 0.0
 
 
+def test_selections_go_on_from_what_others_found_when_they_looked_back():
+    """Blocks overlap or not, few candidates, sparse runs: much hangs on what is carried on."""
+    for seed in range(25):
+        rng = np.random.default_rng(seed)
+        bank = random_bank(seed, queries=40, references=45)
+        chosen = SICSettings(candidates=2, history=(1000, 6)[seed % 2])
+        actions = rng.random((40, 4)) < (0.2, 0.5)[seed // 2 % 2]
+        actions[:, -1] = rng.random(40) < 0.2
+        env = TechniqueSelectionEnv(bank, **vars(chosen), reselection=4, allow_idle=True)
+        infos = infos_of(env, actions)
+        expected = follow(bank, actions, chosen, block=4, idle=True)
+        assert_route(infos, expected, bank.seconds)
+        assert_details(infos, expected, bank.tolerance, "evidence")
+
+
 def test_the_discount_by_hand():
     rows = np.random.default_rng(2).normal(size=(4, 12)).astype(np.float32)
     rows[2:, 1:] = rows[1:3, :-1]  # moved on by one place
@@ -240,6 +256,20 @@ def test_a_live_route_keeps_rows_for_as_long_as_they_are_needed(monkeypatch, roo
                 actions = actions_for(arguments, rng, 89, len(NAMES))
                 wanted = play(TechniqueSelectionEnv(bank, **arguments), actions)
                 assert_same(play(TechniqueSelectionEnv(live, **arguments), actions), wanted)
+
+
+@pytest.mark.parametrize("history", [0, 5, 1000])
+def test_a_live_route_whose_rows_wait_to_be_added_gives_what_its_bank_gives(monkeypatch, history):
+    monkeypatch.setattr(kernels, "LARGE", 1)
+    bank, live = cached_pair(90, 9)
+    rng = np.random.default_rng(history)
+    for block in (None, 2, 5):
+        arguments = {"history": history, "reselection": block, "candidates": 3}
+        for _ in range(3):
+            actions = actions_for(arguments, rng, 89, len(NAMES))
+            first, second = (TechniqueSelectionEnv(each, **arguments) for each in (live, bank))
+            assert_same(play(first, actions), play(second, actions))
+            assert first.task.episodes.state.marks["depth"].all()
 
 
 @settings(max_examples=40, deadline=None)
