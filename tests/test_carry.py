@@ -109,6 +109,16 @@ def test_of_equal_ones_the_rows_best_is_first_then_the_own_match_then_the_last_p
     assert sic.correct([0, 5, 0, 5.1, 0, 6], fused=3).place == 3
 
 
+def test_what_left_the_map_is_not_kept_at_its_end():
+    sic = SIC(6, SICSettings(candidates=1))
+    assert sic.correct([0, 0, 0, 0, 8, 9]).place == 5
+    # Place 5 would be better than 0, with its past.
+    assert sic.correct([5, 0, 0, 0, 0, 4.5], fused=6).place == 0
+    sic = SIC(6, SICSettings(candidates=1))
+    sic.correct([0, 0, 0, 0, 8, 9])
+    assert sic.correct([5, 0, 0, 0, 0, 4.5], fused=5).place == 5
+
+
 def test_in_the_environment_the_own_match_is_before_the_last_prediction():
     sure, torn = [[0, 0, 9, 0, 0, 0], [0] * 6], [[3, 0, 3, 0, 0, 0], [0, 5, 0, 5, 0, 6]]
     env = TechniqueSelectionEnv(bank_from(sure, torn), candidates=1, reselection=1)
