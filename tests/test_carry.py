@@ -12,10 +12,10 @@ import pytest
 from env_cases import assert_same, infos_of, noisy_bank, play, random_actions, random_bank
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from live_cases import NAMES, pair
+from live_cases import NAMES, Stream, bank_of, live_of, maps_of, pair, traverse
 from selection_cases import assert_details, assert_route, follow
 
-from amusic_gym import live_rows
+from amusic_gym import episode, live_rows
 from amusic_gym import sic as kernels
 from amusic_gym.bank import ScoreBank
 from amusic_gym.dynamics import IDLE_DECAY
@@ -280,6 +280,17 @@ def test_a_live_route_whose_rows_wait_to_be_added_gives_what_its_bank_gives(monk
             first, second = (TechniqueSelectionEnv(each, **arguments) for each in (live, bank))
             assert_same(play(first, actions), play(second, actions))
             assert first.task.episodes.state.marks["depth"].all()
+
+
+def test_what_is_carried_outlives_the_growing_room_of_an_endless_route(monkeypatch):
+    monkeypatch.setattr(episode, "ROOM", 4)
+    maps, images = maps_of(40), traverse(60, seed=2)
+    arguments = {"reselection": 3, "candidates": 2, "allow_idle": True}
+    for seed in range(6):
+        actions = np.random.default_rng(seed).random((59, 4)) < (0.3, 0.3, 0.3, 0.4)
+        first = TechniqueSelectionEnv(live_of(maps, Stream(images)), **arguments)
+        second = TechniqueSelectionEnv(bank_of(maps, images), **arguments)
+        assert_same(play(first, actions), play(second, actions))
 
 
 @settings(max_examples=40, deadline=None)
