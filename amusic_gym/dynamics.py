@@ -180,8 +180,8 @@ def sigmoid(logit: float) -> float:
 @inner
 def logit_of(probability: float) -> float:
     """log(p / (1 − p)), from −30 to 30 as :func:`estimate` gives it."""
-    odds = max(probability, 1e-300) / (1.0 - probability)
-    return min(max(math.log(odds), -30.0), 30.0)
+    logit: float = math.log(max(probability, 1e-300) / (1.0 - probability))
+    return min(max(logit, -30.0), 30.0)
 
 
 @inner

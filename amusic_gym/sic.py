@@ -604,7 +604,8 @@ class SIC:
     @property
     def discount(self) -> float:
         """What MuSIC multiplies the statistic by, for the serial correlation of the rows so far."""
-        return float(discount_of.py_func(self._mark.view(np.recarray)[0]))
+        python: Any = discount_of  # an inner function has no way in, but its source
+        return float(python.py_func(self._mark.view(np.recarray)[0]))
 
     def _checked(self, row: ArrayLike) -> NDArray[np.float32]:
         scores = np.asarray(row, dtype=np.float32)

@@ -148,7 +148,7 @@ def measure_images(sizes: ImageSizes, report: Callable[[str, float, str], None])
     report("cohog_match_vs_numpy", medians.faster, per)
     bare = f"the bare product of the cells would take {1e3 * limit:.3g} ms"
     report("cohog_match_share_of_limit", limit / medians.ours, bare)
-    for prefix, statistic in (("", "evidence"), ("default_", SICSettings.statistic)):
+    for prefix, statistic in (("", SICSettings.statistic), ("belief_", "belief")):
         seen = drive(pictures, "subset:HOG", ("hog",), statistic)
         wall = np.array([one.milliseconds for one in seen])
         if not prefix:

@@ -9,7 +9,7 @@ from typing import Any
 
 from amusic_gym._compile import compiled
 from amusic_gym.rows import top_at
-from amusic_gym.sic import best_candidate, push, weigh
+from amusic_gym.sic import best_candidate, candidate_at, push, weigh
 
 BYTES_PER_PLACE = 4 + 8 + 8  # read a float32 score, read and write a float64 sum
 
@@ -23,6 +23,7 @@ def correct_routes(
     counts: Any,
     prefix: Any,
     values: Any,
+    carried: Any,
     factors: Any,
     frame: int,
     history: int,
@@ -38,7 +39,8 @@ def correct_routes(
         ran: (N, Q) uint8.
         counts: (N, Q + 1) int32, see ``sic.weigh``.
         prefix: (N, 0) float64, not used where γ = 1.
-        values: (K,) float64 scratch.
+        values: (K + CARRIED,) float64 scratch.
+        carried: (CARRIED,) int64, −1: nothing is carried on.
         factors: (F + 2,) float64, see ``sic.factors_of``.
         frame: frame index.
         history: F.
@@ -51,9 +53,9 @@ def correct_routes(
         push(sums[i], marks[i], runs[i], ran[i], frame, history, 1.0)
         winner = best_candidate(
             *(sums[i], marks[i], runs[i], counts[i], prefix[i], factors),
-            *(frame, history, 1.0, True, values),
+            *(frame, history, 1.0, True, carried, values),
         )
-        places[i] = top_at(runs[i], frame)[winner]
+        places[i] = candidate_at(top_at(runs[i], frame), carried, winner)
         statistics[i] = values[winner]
 
 

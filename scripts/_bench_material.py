@@ -15,8 +15,15 @@ from amusic_gym.calibration import coefficients
 from amusic_gym.episode import Episodes, Route
 from amusic_gym.rows import prepare
 from amusic_gym.settings import SICSettings
+from amusic_gym.sic import CARRIED
 
 TOLERANCE = 5
+
+PLAIN: dict[str, Any] = {"statistic": "evidence", "carry": False, "discount": False}
+"""What the NumPy side computes, too."""
+
+DEFAULT: dict[str, Any] = {"statistic": SICSettings.statistic, "carry": None, "discount": None}
+"""What the environment takes by itself."""
 
 
 class Sizes(NamedTuple):
@@ -81,10 +88,10 @@ class Material:
         self.z = [reference.standardised(rows) for rows in self.bank.scores]
         self.top = [reference.ranked(rows, sizes.candidates) for rows in self.bank.scores]
 
-    def env_arguments(self, statistic: str = "evidence") -> dict[str, Any]:
-        """Arguments of every environment measured."""
+    def env_arguments(self, **other: Any) -> dict[str, Any]:
+        """Arguments of every environment measured: `PLAIN`, but for others that are given."""
         settings = {"candidates": self.sizes.candidates, "history": self.sizes.history}
-        return {"bank": self.bank, "statistic": statistic, **settings}
+        return {"bank": self.bank, **settings, **PLAIN, **other}
 
     @cached_property
     def everything(self) -> Any:
@@ -162,7 +169,7 @@ class Corrections:
     def __init__(self, material: Material) -> None:
         """Go to where the timed frames begin."""
         sizes, bank = material.sizes, material.bank
-        settings = SICSettings("evidence", sizes.candidates, sizes.history)
+        settings = SICSettings(candidates=sizes.candidates, history=sizes.history, **PLAIN)
         self._owner = Episodes(sizes.routes, 1, settings, reselection=0)
         for i in range(sizes.routes):
             route = Route(bank, i, sizes.frames, np.array([0]), 1.0, 0)
@@ -175,6 +182,7 @@ class Corrections:
         )
         self.histories = (state.ran[:, 0], state.counts[:, 0], state.prefix[:, 0])
         self.values, self.factors = state.values[0], state.factors
+        self.carried = np.full(CARRIED, -1)
         self.places = np.zeros(sizes.routes, np.int64)
         self.statistics = np.zeros(sizes.routes)
         self.history, self._correct = sizes.history, correct_routes
@@ -188,8 +196,8 @@ class Corrections:
     def at(self, frame: int) -> None:
         """One correction on every route."""
         self._correct(
-            *(self.sums, self.marks, self.runs, *self.histories, self.values, self.factors),
-            *(frame, self.history, self.places, self.statistics),
+            *(self.sums, self.marks, self.runs, *self.histories, self.values, self.carried),
+            *(self.factors, frame, self.history, self.places, self.statistics),
         )
 
     def rewind(self) -> None:

@@ -5,8 +5,8 @@
 Every timed path is checked first against NumPy code of another kind (_bench_reference.py), that of
 the default statistic against the true places. The sides take turns, after one warm-up, on one
 thread unless it says two; each figure is a median. All is with the statistic `evidence`, γ = 1,
-unless it says `default`: the figures that begin so are with the one that the environment takes by
-itself.
+nothing carried on and no discount, unless it says `default`: the figures that begin so are with
+what the environment takes by itself.
 
 | ratio | of what | better |
 |---|---|---|
@@ -23,12 +23,16 @@ itself.
 | cohog_match_share_of_limit | time of the bare matrix product of the cells / ours | near 1 |
 | default_vector_env_vs_cartpole_vector | as above, default statistic | more |
 | default_single_env_vs_cartpole | as above, default statistic | more |
-| default_two_threads_vs_one | steps/s of the vector env on two threads / on one | more |
-| default_step_vs_evidence | time of the single env's step: default / `evidence` | less |
+| carry_step_vs_without | time of the vector step: places carried on / not, no discount | near 1 |
+| discount_step_vs_without | … with the discount / without, places carried on | near 1 |
+| default_step_vs_evidence | time of the single env's step: default / neither of both | near 1 |
+| belief_step_vs_evidence | … statistic `belief` / neither of both | less |
+| belief_two_threads_vs_one | steps/s of the vector env, `belief`, on two threads / on one | more |
 
-And what a robot waits for, which is this machine's: default_step_ms, TECHNIQUE_describe_ms,
-live_overhead_ms and default_live_overhead_ms (per frame, beyond the techniques that ran) and
-live_hog_frames_per_second; import_seconds and first_step_…_seconds, cold and with compiled code.
+And what a robot waits for, which is this machine's: default_step_ms, belief_step_ms,
+TECHNIQUE_describe_ms, live_overhead_ms and belief_live_overhead_ms (per frame, beyond the
+techniques that ran) and live_hog_frames_per_second; import_seconds and first_step_…_seconds, cold
+and with compiled code. These are with the defaults.
 
 How time grows with the map: sic_us_at_R for R places, growth_exponent (1 is linear) between the
 largest two; route_bytes_per_place. With --big, a memory-mapped bank of 3.2 GB is written to a
@@ -76,12 +80,22 @@ from _bench_growth import (  # noqa: E402
 from _bench_images import QUICK_IMAGES, ImageSizes, measure_images  # noqa: E402
 from _bench_kernels import BYTES_PER_PLACE, push_routes, stream  # noqa: E402
 from _bench_layouts import measure_layouts, measure_waiting  # noqa: E402
-from _bench_material import QUICK, Corrections, Material, Sizes, same  # noqa: E402
+from _bench_material import (  # noqa: E402
+    DEFAULT,
+    PLAIN,
+    QUICK,
+    Corrections,
+    Material,
+    Sizes,
+    same,
+)
 from _bench_start import measure_start  # noqa: E402
 
 from amusic_gym.env import TechniqueSelectionEnv  # noqa: E402
 from amusic_gym.settings import SICSettings  # noqa: E402
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv  # noqa: E402
+
+BELIEF: dict[str, Any] = {"statistic": "belief", "carry": None, "discount": None}
 
 Report = Callable[[str, float, str], None]
 """Takes a key, its value, and a sentence on it."""
@@ -189,9 +203,15 @@ def _stepper(env: Any, action: Any, steps: int) -> Callable[[], None]:
     return advance
 
 
-def _play_checked(env: Any, material: Material, action: Any, options: dict[str, Any]) -> None:
-    """Play a whole route and compare; then begin again and go on to where timing starts."""
-    exact = env.task.settings.statistic == "evidence"
+def _play_checked(
+    env: Any, material: Material, action: Any, options: dict[str, Any], behind: int = 0
+) -> None:
+    """Play a whole route and compare; then begin again and go on to where timing starts.
+
+    ``behind`` times the timed frames sooner: of two sides on the same frames, the second would
+    find their rows in the cache.
+    """
+    exact = {name: getattr(env.task.settings, name) for name in PLAIN} == PLAIN
     env.reset(seed=0, options=options)
     for frame in range(material.sizes.frames):
         _, rewards, _, _, infos = env.step(action)
@@ -201,13 +221,13 @@ def _play_checked(env: Any, material: Material, action: Any, options: dict[str, 
             else:
                 material.check_places(frame, infos)
     env.reset(seed=0, options=options)
-    _stepper(env, action, material.sizes.frames - material.sizes.timed)()
+    _stepper(env, action, material.sizes.frames - (1 + behind) * material.sizes.timed)()
 
 
-def measure_vector_env(material: Material, statistic: str = "evidence") -> Measured:
+def measure_vector_env(material: Material, **other: Any) -> Measured:
     """The vector env, all techniques on all routes, against Gymnasium's native CartPole."""
     sizes = material.sizes
-    env = TechniqueSelectionVectorEnv(sizes.routes, **material.env_arguments(statistic))
+    env = TechniqueSelectionVectorEnv(sizes.routes, **material.env_arguments(**other))
     _play_checked(env, material, material.everything, {"start": material.starts})
     cartpole = gym.make_vec(
         "CartPole-v1", num_envs=sizes.routes, vectorization_mode="vector_entry_point"
@@ -259,23 +279,41 @@ def measure_half(material: Material) -> Measured:
     return Measured(1.0 / medians.faster, medians, "step", "a half", "all techniques")
 
 
-def measure_default(material: Material) -> Measured:
-    """The single env's step with the default statistic against one with `evidence`."""
+def measure_step(material: Material, **other: Any) -> Measured:
+    """The single env's step with other settings against one with `PLAIN`."""
     sizes, action, steppers = material.sizes, material.everything[0], []
-    for statistic in (SICSettings.statistic, "evidence"):
-        env = TechniqueSelectionEnv(**material.env_arguments(statistic))
-        _play_checked(env, material, action, {"start": 0})
+    for behind, arguments in enumerate((material.env_arguments(**other), material.env_arguments())):
+        env = TechniqueSelectionEnv(**arguments)
+        _play_checked(env, material, action, {"start": 0}, behind)
         steppers.append(_stepper(env, action, sizes.steps))
-    default, evidence = (Side("statistic", step, sizes.steps) for step in steppers)
-    medians = interleave(default, evidence, sizes.rounds)
-    return Measured(1.0 / medians.faster, medians, "step", SICSettings.statistic, "evidence")
+    theirs, plain = (Side("settings", step, sizes.steps) for step in steppers)
+    medians = interleave(theirs, plain, sizes.rounds)
+    return Measured(1.0 / medians.faster, medians, "step", "these settings", "plain evidence")
+
+
+def measure_part(material: Material, name: str, **other: Any) -> Measured:
+    """The vector env's step with a part of SIC on against the step with it off.
+
+    The correlation of a row with the one before it is kept with the bank, as mean, deviation and
+    candidates are: none of them is timed.
+    """
+    sizes, steppers = material.sizes, []
+    for on in (True, False):
+        arguments = material.env_arguments(**other, **{name: on})
+        env = TechniqueSelectionVectorEnv(sizes.routes, **arguments)
+        _play_checked(env, material, material.everything, {"start": material.starts}, int(on))
+        steppers.append(_stepper(env, material.everything, sizes.steps))
+    units = sizes.steps * sizes.routes
+    with_it, without = (Side(name, step, units) for step in steppers)
+    medians = interleave(with_it, without, sizes.rounds)
+    return Measured(1.0 / medians.faster, medians, "step", f"with {name}", "without")
 
 
 def measure_threads(material: Material) -> Measured:
-    """The vector env's step with the default statistic, on two threads against one."""
+    """The vector env's step with the statistic `belief`, on two threads against one."""
     sizes, steppers = material.sizes, []
     for threads in (2, 1):
-        arguments = material.env_arguments(SICSettings.statistic)
+        arguments = material.env_arguments(**BELIEF)
         env = TechniqueSelectionVectorEnv(sizes.routes, threads=threads, **arguments)
         _play_checked(env, material, material.everything, {"start": material.starts})
         steppers.append(_stepper(env, material.everything, sizes.steps))
@@ -306,10 +344,10 @@ def measure_step_limit(material: Material) -> Measured:
     return Measured(medians.faster, medians, "step", "vector env", "plain streams")
 
 
-def measure_single_env(material: Material, statistic: str = "evidence") -> Measured:
+def measure_single_env(material: Material, **other: Any) -> Measured:
     """The single env, all techniques, against CartPole, both without wrappers."""
     sizes, action = material.sizes, material.everything[0]
-    env = TechniqueSelectionEnv(**material.env_arguments(statistic))
+    env = TechniqueSelectionEnv(**material.env_arguments(**other))
     _play_checked(env, material, action, {"start": 0})
     cartpole = gym.make("CartPole-v1").unwrapped
     cartpole.reset(seed=0)
@@ -391,12 +429,13 @@ MEASUREMENTS: dict[str, Callable[[Material], Measured]] = {
     "ppo_large_vs_constant_env": measure_large_ppo,
     "sic_share_of_limit": measure_limit,
     "step_share_of_limit": measure_step_limit,
-    "default_vector_env_vs_cartpole_vector": partial(
-        measure_vector_env, statistic=SICSettings.statistic
-    ),
-    "default_single_env_vs_cartpole": partial(measure_single_env, statistic=SICSettings.statistic),
-    "default_step_vs_evidence": measure_default,
-    "default_two_threads_vs_one": measure_threads,
+    "default_vector_env_vs_cartpole_vector": partial(measure_vector_env, **DEFAULT),
+    "default_single_env_vs_cartpole": partial(measure_single_env, **DEFAULT),
+    "carry_step_vs_without": partial(measure_part, name="carry"),
+    "discount_step_vs_without": partial(measure_part, name="discount", carry=True),
+    "default_step_vs_evidence": partial(measure_step, **DEFAULT),
+    "belief_step_vs_evidence": partial(measure_step, **BELIEF),
+    "belief_two_threads_vs_one": measure_threads,
 }
 
 
@@ -462,12 +501,13 @@ def _measure_rest(
     args: argparse.Namespace, material: Material, seconds: dict[str, Medians], report: Report
 ) -> None:
     """What is not a ratio of two sides, and the figure."""
-    step = seconds["default_step_vs_evidence"].ours
-    report("default_step_ms", 1e3 * step, f"ms per step of the single env, {SICSettings.statistic}")
+    for name in ("default", "belief"):
+        step = seconds[f"{name}_step_vs_evidence"].ours
+        report(f"{name}_step_ms", 1e3 * step, f"ms per step of the single env, {name}")
     places = QUICK_SIZES if args.quick else SIZES
     growth = measure_growth(places, report)
     measure_memory(material, report)
-    statistics = {"": "evidence", "default_": SICSettings.statistic}
+    statistics = {"": SICSettings.statistic, "belief_": "belief"}
     measure_start(statistics, 1 if args.quick else 5, report)
     if args.layouts:
         measure_layouts(material, report)

@@ -256,7 +256,9 @@ def music(
         raise ValueError(f"no technique ran on frame {q}; MuSIC needs one")
     factors = None
     if discount:
-        factors = [serial_discount(z[t], column(ran, t), q) for t in range(len(scores))]
+        factors = [math.nan for _ in scores]
+        for t in present:
+            factors[t] = serial_discount(z[t], column(ran, t), q)
     found = [result for result in sics if result is not None]
     unfused = Music(-1, -1, math.nan, sics, factors)
     best = first_best(

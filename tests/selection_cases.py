@@ -70,7 +70,7 @@ def assert_route(infos: list[dict], expected: oracle.Route, seconds) -> None:
 
 def assert_details(infos: list[dict], expected: oracle.Route, tolerance: int, statistic: str):
     """Every technique's match, the margin and p̂ of each frame are the same, too."""
-    p_correct = 0.0
+    found, wanted, p_correct = [], [], 0.0
     for info, result in zip(infos, expected.results, strict=True):
         assert info["idle"] == (result is None)
         margin = oracle.margin(result, tolerance) if result else None
@@ -79,12 +79,12 @@ def assert_details(infos: list[dict], expected: oracle.Route, tolerance: int, st
             p_correct = estimated(statistic, best, margin)
         else:
             p_correct *= IDLE_DECAY
-        np.testing.assert_allclose(info["margin"], margin or 0.0, **CLOSE)
-        np.testing.assert_allclose(info["p_correct"], p_correct, **CLOSE)
-        for t in range(len(info["ran"])):
-            own = [info["place"][t], info["statistic"][t], info["correction"][t]]
-            found = result.sics[t] if result else None
-            np.testing.assert_allclose(own, found[:3] if found else [0, 0, 0], **CLOSE)
+        own = [info[name] for name in ("place", "statistic", "correction")]
+        found.append([info["margin"], info["p_correct"], *np.ravel(np.transpose(own))])
+        sics = result.sics if result else [None] * len(own[0])
+        matches = [number for sic in sics for number in (sic[:3] if sic else (0, 0, 0))]
+        wanted.append([margin or 0.0, p_correct, *matches])
+    np.testing.assert_allclose(found, wanted, **CLOSE)
 
 
 def follow(

@@ -43,23 +43,21 @@ def levels(rng: np.random.Generator) -> ScoreBank:
 def check(make, frames, statistic, gamma, history):
     """Drive random routes and compare every frame with the loops.
 
-    Of four routes that come after each other, each carries places on, or discounts, or both, or
-    neither.
+    By turns they carry places on, discount, do both, or neither; and may be idle, or not.
     """
     rng = np.random.default_rng(17)
-    for number in range(frames // QUERIES):
-        carry, discount, candidates = (
-            number // 2 % 2 == 1,
-            number % 2 == 1,
-            (10, 50)[number % 3 % 2],
-        )
-        chosen = SICSettings(statistic, candidates, history, gamma, carry, discount)
-        bank = make(rng)
+    banks = [make(rng) for _ in range(frames // QUERIES)]
+    envs = {}
+    for number, bank in enumerate(banks):
+        carry, discount, idle, few = (bool(number >> bit & 1) for bit in range(4))
+        chosen = SICSettings(statistic, 10 if few else 50, history, gamma, carry, discount)
         actions = rng.random((QUERIES, WIDTH + 1)) < rng.choice([0.2, 0.5, 0.9])
         actions[:, -1] = rng.random(QUERIES) < 0.04
-        idle = bool(rng.random() < 0.3)
-        env = TechniqueSelectionEnv(bank, **vars(chosen), reselection=6, allow_idle=idle)
-        env.reset()
+        arguments = {**vars(chosen), "reselection": 6, "allow_idle": idle}
+        if number < 16:
+            envs[number] = TechniqueSelectionEnv(banks, **arguments)
+        env = envs[number % 16]
+        env.reset(options={"bank": number})
         infos = [env.step(action)[4] for action in actions]
         expected = follow(bank, actions, chosen, block=6, idle=idle)
         assert_route(infos, expected, bank.seconds)

@@ -13,7 +13,7 @@ from amusic_gym.routes.descriptors import BLOCK, smooth, write_scores
 from amusic_gym.routes.motion import MOTIONS
 from amusic_gym.routes.simulate import Simulation, planted, simulate
 from amusic_gym.routes.statistics import MEASURES, describe
-from amusic_gym.routes.world import World, no_repeats, repeated_places
+from amusic_gym.routes.world import World, decoys, no_repeats, repeated_places
 from amusic_gym.settings import STATISTICS
 
 # Everything that could blur what a test looks at, off.
@@ -215,6 +215,127 @@ def test_all_fail_and_all_good_reach_every_technique() -> None:
         assert (medians < most).all()
 
 
+# Made before there were trends, decoys and copies: three scores of the frame in the middle for the
+# place at a third of the map, the deviation of all scores, and all costs.
+BEFORE: dict[str, tuple[Any, tuple[int, int, int], list[float]]] = {
+    "default": (
+        lambda: simulate(3),
+        (4, 300, 300),
+        [0.294351, 0.249564, 0.161706, 0.20019, 1.428503],
+    ),
+    "varied": (
+        lambda: simulate(4, queries=60, motion="varied"),
+        (4, 60, 91),
+        [0.406604, 0.386396, 0.725021, 0.102253, 3.263745],
+    ),
+    "planted": (
+        lambda: planted(1),
+        (4, 400, 1000),
+        [0.623539, 0.535226, 0.534605, 0.057316, 4.051151],
+    ),
+    "drawn": (
+        lambda: Simulation().route(np.random.default_rng(5)),
+        (4, 301, 456),
+        [0.253132, 0.389623, 0.366395, 0.092705, 1.855944],
+    ),
+    "re-timed": (
+        lambda: replace(
+            Simulation(), queries=(80, 110), map_factor=(1.0, 3.0), retimed=0.6,
+            techniques=(2, 6), ability=(0.45, 0.97), useless=0.15, all_fail=0.02, exclusive=0.05,
+        ).route(np.random.default_rng(2)),
+        (3, 105, 105),
+        [0.660925, 0.379842, 0.345308, 0.136859, 0.177712],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BEFORE)
+def test_routes_without_trends_decoys_and_copies_are_as_they_were(name: str) -> None:
+    make, shape, numbers = BEFORE[name]
+    bank = make()
+    assert bank.shape == shape
+    middle = bank.scores[:3, bank.queries // 2, bank.references // 3].tolist()
+    found = [*middle, float(bank.scores.astype(np.float64).std()), float(bank.seconds.sum())]
+    np.testing.assert_allclose(found, numbers, atol=2e-5)  # of a matrix product on any processor
+
+
+def test_decoys_move_along_or_stand_and_some_are_shared() -> None:
+    place = np.concatenate([np.arange(30.0, 80.0), np.arange(10.0, 60.0)])
+    spell = np.arange(100) // 25
+    moving, standing, shared, strengths = 0, 0, 0, []
+    for seed in range(30):
+        options = {"chance": 0.7, "shared": 0.5, "strength": (0.3, 0.9)}
+        where, lure = decoys(np.random.default_rng(seed), place, spell, 400, 3, **options)
+        assert ((where >= 0.0) & (where <= 399.0)).all()
+        for number in range(4):
+            frames = np.flatnonzero(spell == number)
+            assert (np.ptp(lure[:, frames], axis=1) == 0.0).all()
+            took = np.flatnonzero(lure[:, frames[0]])
+            for t in took:
+                steps = np.diff(where[t, frames])
+                inside = (where[t, frames] > 0.0) & (where[t, frames] < 399.0)
+                if (steps == 0.0).all():
+                    standing += 1
+                else:
+                    moving += 1
+                    assert np.allclose(steps[inside[1:]], np.diff(place[frames])[inside[1:]])
+            shared += len(took) - len(np.unique(where[took][:, frames], axis=0))
+            strengths.extend(lure[took, frames[0]].tolist())
+    assert min(moving, standing) > 0.35 * (moving + standing)
+    assert 0.6 < (moving + standing) / 360 < 0.8
+    assert shared > 20
+    assert 0.3 <= min(strengths) < 0.35 < 0.85 < max(strengths) <= 0.9
+    none = decoys(np.random.default_rng(0), place, spell, 400, 3, **options | {"chance": 0.0})
+    assert not none[1].any()
+
+
+def test_a_decoy_is_mistaken_for_the_place_where_a_technique_is_weak() -> None:
+    simulation = replace(
+        PLAIN, ability=(0.1, 0.1), queries=(200, 200), references=200, decoy=1.0,
+        decoy_shared=1.0, decoy_strength=(0.9, 0.9),
+    )  # fmt: skip
+    fooled = simulation.route(np.random.default_rng(0)).scores.argmax(axis=2)
+    alone = replace(simulation, decoy=0.0).route(np.random.default_rng(0)).scores.argmax(axis=2)
+    assert (abs(np.diff(fooled, axis=0)) <= 2).mean() > 0.7  # all for the same place
+    assert (abs(np.diff(alone, axis=0)) <= 2).mean() < 0.3
+    assert np.isin(np.diff(fooled[0]), (-1, 0, 1, 2)).mean() > 0.7  # which stands or moves along
+
+
+def test_a_copy_sees_what_the_technique_before_it_sees() -> None:
+    simulation = replace(PLAIN, queries=(40, 40), techniques=(4, 4))
+    bank = replace(simulation, copies=1.0).route(np.random.default_rng(3))
+    assert (bank.scores == bank.scores[:1]).all()
+    assert len(set(bank.seconds.tolist())) == 4
+    equal = [
+        np.array_equal(route.scores[t], route.scores[t - 1])
+        for seed in range(30)
+        for route in [replace(simulation, copies=0.3).route(np.random.default_rng(seed))]
+        for t in (1, 2, 3)
+    ]
+    assert 0.15 < np.mean(equal) < 0.45
+
+
+def test_a_trend_makes_far_places_alike() -> None:
+    alike = []
+    for trend in (0.0, 0.7):
+        simulation = replace(
+            PLAIN, ability=(0.95, 0.95), queries=(150, 150), references=150, dimensions=(60, 60),
+            trend=(trend, trend), trend_length=(100.0, 100.0),
+        )  # fmt: skip
+        rows = simulation.route(np.random.default_rng(1)).scores[0]
+        frames = np.arange(20, 130)
+        far = [np.mean([rows[q, c + d] for q, c in zip(frames, frames, strict=True)]) for d in
+               (15, -15)]  # fmt: skip
+        alike.append((np.mean(far) - rows.mean()) / rows.std())
+    assert alike[1] > alike[0] + 0.3
+
+
+@pytest.mark.parametrize("name", ["decoy", "decoy_shared", "copies"])
+def test_shares_of_decoys_and_copies_are_refused_out_of_range(name: str) -> None:
+    with pytest.raises(ValueError, match=name):
+        Simulation(**{name: 1.5})
+
+
 def test_costs_span_two_orders_and_follow_ability_a_little() -> None:
     simulation = Simulation(queries=(2, 2), techniques=(8, 8), cost_follows_ability=0.3)
     rng = np.random.default_rng(0)
@@ -276,7 +397,7 @@ def test_a_condition_shifts_whole_rows_and_columns() -> None:
         look = ranges._look(np.random.default_rng(0))
         apart = []
         for seed in range(8):
-            write_scores(np.random.default_rng(seed), world, look, world.competence[0], scores)
+            write_scores(np.random.default_rng(seed), world, look, 0, scores)
             day, night = scores[: queries // 2], scores[queries // 2 :]
             spread = scores.std(axis=1).mean()
             apart.append(

@@ -162,11 +162,7 @@ class Drive:
         self.truth = bank.truth.matrix()
         self._prepared = bank.prepared(1)
         self._runs = np.zeros(len(bank.techniques), RUN)
-        self._runs["references"], self._runs["candidates"] = bank.references, 1
-        for t in range(len(bank.techniques)):
-            self._runs["scores"][t] = bank.stored[bank.index[t]].ctypes.data
-            for field in ("mean", "scale", "top", "ready"):
-                self._runs[field][t] = getattr(self._prepared, field)[t].ctypes.data
+        self._prepared.point(self._runs, np.arange(len(bank.techniques)))
 
     def drive(self, rates: Rates) -> tuple[NDArray[np.int64], Floats]:
         """Predictions (Q,), and the belief (Q, 2) around them and in the true places."""
