@@ -33,11 +33,11 @@ UNCALIBRATED = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
 def coefficients(statistic: str) -> NDArray[np.float64]:
     """Coefficients (5,) of the calibration for a statistic.
 
-    ``mean`` and ``evidence``: logit p̂ = b₀ + b₁s + b₂t + b₃u + b₄m where the fused winner has a
-    rival beyond the tolerance, and b₅ + b₆s + b₇t + b₈u where it has none. Here s =
-    asinh(statistic), discounted, m = asinh(margin), t = log(1 + frames in a row on which the
-    prediction moved on by one place), and u ∈ [0, 1] the support by other techniques
-    (``support_of`` in :mod:`amusic_gym.dynamics`).
+    ``mean`` and ``evidence``: logit p̂ = b₀ + b₁s + b₂t + b₃h + b₄u + b₅m where the fused winner has
+    a rival beyond the tolerance, and b₆ + b₇s + b₈t where it has none. Here s = asinh(statistic),
+    discounted, m = asinh(margin), and t = log(1 + frames in a row on which the prediction moved on
+    by one place). h ∈ [0, 1] is how much another technique has a say, u how much one says the same
+    (``weigh_others`` in :mod:`amusic_gym.dynamics`).
 
     ``belief``: logit p̂ = b₀ + b₁s + b₂m + b₃l + b₄a. Here s is the log-odds of the belief within
     the tolerance of the prediction, m the logarithm of its ratio to the belief around the best
@@ -49,21 +49,20 @@ def coefficients(statistic: str) -> NDArray[np.float64]:
 
 
 def design(
-    statistic: ArrayLike, track: ArrayLike, support: ArrayLike, margin: ArrayLike | None
+    statistic: ArrayLike, track: ArrayLike, rivals: tuple[ArrayLike, ArrayLike, ArrayLike] | None
 ) -> NDArray[np.float64]:
-    """Inputs of SIC's logit: (n, 5) with margins, (n, 4) without rivals.
+    """Inputs of SIC's logit: (n, 6) where there are rivals, (n, 3) where there are none.
 
     Args:
         statistic: (n,) of the fused winner, discounted.
         track: (n,) frames in a row on which the prediction moved on by one place.
-        support: (n,) by other techniques, in [0, 1].
-        margin: (n,) over the best rival; None: there is none.
+        rivals: how much others have a say, and say the same, in [0, 1], and the margin, each (n,).
     """
-    s = np.arcsinh(np.asarray(statistic, np.float64))
-    t, u = np.log1p(np.asarray(track, np.float64)), np.asarray(support, np.float64)
-    columns = [np.ones_like(s), s, t, u]
-    if margin is not None:
-        columns.append(np.arcsinh(np.asarray(margin, np.float64)))
+    s, t = np.arcsinh(np.asarray(statistic, np.float64)), np.log1p(np.asarray(track, np.float64))
+    columns = [np.ones_like(s), s, t]
+    if rivals is not None:
+        heard, support, margin = (np.asarray(given, np.float64) for given in rivals)
+        columns += [heard, support, np.arcsinh(margin)]
     return np.stack(columns, axis=-1)
 
 

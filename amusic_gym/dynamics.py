@@ -32,7 +32,7 @@ IDLE_DECAY = 0.9
 """Factor on p̂ and confidence per frame on which nothing ran."""
 
 SUPPORT_MEMORY = 0.98
-"""Factor per frame on the support that a technique's last match gives the prediction."""
+"""Factor per frame on what a technique's last match counts for or against the prediction."""
 
 DOUBT = 0.5
 """A frame with p̂ below this is one of doubt."""
@@ -187,23 +187,24 @@ def logit_of(probability: float) -> float:
 @inner
 def estimate(b: Any, route: Any, statistic: float, has_rival: bool) -> float:
     """Logit of p̂ of the prediction, with coefficients ``b``: see amusic_gym.calibration."""
-    first = 0 if has_rival else 5
+    first = 0 if has_rival else 6
     logit: float = b[first] + b[first + 1] * math.asinh(statistic)
-    logit += b[first + 2] * math.log1p(10.0 * route.track) + b[first + 3] * route.support
+    logit += b[first + 2] * math.log1p(10.0 * route.track)
     if has_rival:
-        logit += b[4] * math.asinh(route.margin)
+        logit += b[3] * route.heard + b[4] * route.support + b[5] * math.asinh(route.margin)
     return min(max(logit, -30.0), 30.0)
 
 
 @inner
-def support_of(state: State, i: int, chosen: int, frame: int) -> float:
-    """How far another technique than the chosen one supports the prediction, in [0, 1].
+def weigh_others(state: State, i: int, chosen: int, frame: int) -> None:
+    """Ask the other techniques than the chosen one of the prediction.
 
-    The highest over the techniques whose last match, moved on, is the prediction: less the longer
-    ago that was, and less the more its row was like the chosen one's, where they last ran together.
+    A technique counts less the longer ago it ran, and less the more its row was like the chosen
+    one's, where they last ran together. ``heard`` is the highest weight of all, ``support`` that
+    of those whose last match, moved on, is the prediction; both in [0, 1].
     """
     slots, route = state.slots[i], state.routes[i]
-    support = 0.0
+    route.heard, route.support = 0.0, 0.0
     for s in range(slots.size):
         slot = slots[s]
         if s == chosen or slot.last_run < 0 or not slot.present:
@@ -211,10 +212,10 @@ def support_of(state: State, i: int, chosen: int, frame: int) -> float:
         if slot.ran:
             slot.likeness = correlation(state.runs[i, chosen], frame, state.runs[i, s], frame, 0)
         age = frame - slot.last_run
+        weight = (1.0 - min(max(slot.likeness, 0.0), 1.0)) * SUPPORT_MEMORY**age
+        route.heard = max(route.heard, weight)
         if abs(slot.place + age - route.prediction) <= route.tolerance:
-            own = 1.0 - min(max(slot.likeness, 0.0), 1.0)
-            support = max(support, own * SUPPORT_MEMORY**age)
-    return support
+            route.support = max(route.support, weight)
 
 
 @inner
@@ -257,7 +258,7 @@ def fuse(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
     discounted = slots[chosen].statistic * slots[chosen].discount
     route.confidence = slots[chosen].statistic
     route.margin = discounted - rival if has_rival else 0.0
-    route.support = support_of(state, i, chosen, frame)
+    weigh_others(state, i, chosen, frame)
     route.logit = estimate(rules.calibration, route, discounted, has_rival)
     route.p_correct = sigmoid(route.logit)
 

@@ -42,7 +42,8 @@ ROUTE = np.dtype(
         ("p_correct_mean", np.float64),
         ("continues", np.float64),  # 1 if the prediction moved on by one place
         ("track", np.float64),  # tens of frames in a row on which it did
-        ("support", np.float64),  # of the prediction by other techniques than the chosen one
+        ("heard", np.float64),  # how much another technique than the chosen one has a say
+        ("support", np.float64),  # ... and says the same
         ("logit", np.float64),  # of p_correct
         ("since_confirmed", np.float64),  # frames since a technique that ran confirmed it
         ("since_doubt", np.float64),

@@ -24,7 +24,7 @@ from amusic_gym.trace import write_whole
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 RATES = (0.05, 0.1, 0.3, 0.6, 1.0)  # shares of the techniques that run on a frame
-SIC_INPUTS = ("confidence", "discount", "track", "support", "margin")
+SIC_INPUTS = ("confidence", "discount", "track", "heard", "support", "margin")
 BELIEF_INPUTS = ("confidence", "margin", "said", "said_mean")
 
 Samples = tuple[NDArray[np.float64], NDArray[np.bool_]]
@@ -35,7 +35,7 @@ def collect(banks: list[ScoreBank], statistic: str, candidates: int, act: Action
     """What p̂ is made of, and correctness, of every frame of the banks under some activity.
 
     Returns:
-        (n, 5) ``SIC_INPUTS``, or for the belief (n, 4) ``BELIEF_INPUTS``. And (n,) bool.
+        (n, 6) ``SIC_INPUTS``, or for the belief (n, 4) ``BELIEF_INPUTS``. And (n,) bool.
     """
     slots = max(len(bank.techniques) for bank in banks)
     env = TechniqueSelectionVectorEnv(
@@ -62,18 +62,19 @@ def collect(banks: list[ScoreBank], statistic: str, candidates: int, act: Action
 def sic_fit(samples: Samples, *, rival: bool) -> list[float]:
     """Coefficients of SIC's logit from the frames on which the winner has a rival, or has none."""
     inputs, correct = samples
-    confidence, discount, tens, support, margin = inputs[(inputs[:, -1] != 0.0) == rival].T
-    statistic, track = confidence * discount, 10.0 * tens
-    made = design(statistic, track, support, margin if rival else None)
-    found: list[float] = np.round(fit(made, correct[(inputs[:, -1] != 0.0) == rival]), 4).tolist()
+    wanted = (inputs[:, -1] != 0.0) == rival
+    confidence, discount, tens, heard, support, margin = inputs[wanted].T
+    others = (heard, support, margin) if rival else None
+    made = design(confidence * discount, 10.0 * tens, others)
+    found: list[float] = np.round(fit(made, correct[wanted]), 4).tolist()
     return found
 
 
 def calibrate(banks: list[ScoreBank], statistic: str, seed: int) -> dict[str, list[float]]:
     """Coefficients for a statistic, as `calibration.json` has them.
 
-    From drives with the same techniques all the way, and with random ones. SIC's for a winner
-    without a rival are from drives with a single technique and candidate.
+    From drives with the same techniques all the way, with random ones and with a single one. SIC's
+    for a winner without a rival are from drives with a single technique and candidate.
     """
     rng = np.random.default_rng(seed)
     shape = (len(banks), max(len(bank.techniques) for bank in banks))
@@ -84,6 +85,7 @@ def calibrate(banks: list[ScoreBank], statistic: str, seed: int) -> dict[str, li
     drives = [
         collect(banks, statistic, 50, lambda: fixed),
         collect(banks, statistic, 50, lambda: rng.random(shape) < rates),
+        collect(banks, statistic, 50, lambda: single),
     ]
     inputs, correct = (np.concatenate(part) for part in zip(*drives, strict=True))
     if statistic == "belief":
