@@ -27,10 +27,10 @@ from agents.config import RolloutConfig, TrainingConfig, stored_banks, stored_co
 from agents.evaluation import Evaluation, HeldOut
 from agents.keeper import Records
 from agents.learners.common import make_env
-from agents.learners.sets import SetSizes
-from agents.learners.subsets import SubsetNetwork, SubsetSelector
+from agents.network import SetSizes
 from agents.run_folder import CHECKPOINT, check_layers, read_tensors, write_tensors
 from agents.selector import load_selector
+from agents.subsets import SubsetNetwork, SubsetSelector
 from agents.training import bank_folders, refuse_used, training_source
 from amusic_gym.policy import Selector
 from amusic_gym.sources import BankLike, RouteSource

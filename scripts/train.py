@@ -1,8 +1,8 @@
 """Train a selector on simulated routes or given banks.
 
-ALGORITHM: ppo (default), imitation (of a cascade chosen on simulated routes), imitation+ppo, dqn
-(the value of every subset), maskable (MaskablePPO over subsets), recurrent (RecurrentPPO),
-reselect (PPO on when to select again).
+ALGORITHM: ppo (default), imitation (of a cascade chosen on simulated routes), imitation+ppo,
+rollouts (tries subsets of techniques from many states and learns what each leads to), reselect
+(PPO on when to select again).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A network that rates whole subsets of techniques, for algorithms with one choice among 2^S.
+"""A network that rates whole subsets of techniques, and the selector that runs the best one.
 
 The rating of a subset depends on the sum of its techniques' encodings, so that it does not depend
 on their order, and the same weights serve any number of techniques.
@@ -12,19 +12,14 @@ from typing import Any
 
 import numpy as np
 import torch
-from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 from torch import nn
 
-from agents.adapter import SB3VecEnv
 from agents.learners import Kind
 from agents.learners.driver import NetworkSelector
-from agents.learners.sets import SetEncoder, SetSizes, presence
-from agents.network import ROUTE_WIDTH
+from agents.network import ROUTE_WIDTH, SetEncoder, SetSizes, presence
 from amusic_gym.observation import ROUTE_FEATURES
 from amusic_gym.settings import COMPUTE_WEIGHT_RANGE
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 WEIGHT = ROUTE_FEATURES.index("compute_weight")
 
@@ -105,57 +100,6 @@ class SubsetSelector(NetworkSelector[SubsetNetwork]):
         with torch.no_grad():
             ratings = self.network(seen).masked_fill(~valid(present), -torch.inf)
         return members(present.shape[1])[ratings.argmax(1)].numpy()
-
-
-class SubsetVecEnv(SB3VecEnv):
-    """The environment with one choice among all subsets, `Discrete(2^S)`.
-
-    ``action_masks`` is what sb3-contrib asks for.
-    """
-
-    def __init__(self, env: TechniqueSelectionVectorEnv) -> None:
-        super().__init__(env)
-        self._members = members(env.task.slots).numpy()  # (2^S, S)
-        self.action_space = spaces.Discrete(len(self._members))
-        self._present = torch.ones(self.num_envs, env.task.slots, dtype=torch.bool)
-
-    def reset(self) -> NDArray[np.float32]:
-        """Begin an episode on every route."""
-        return self._note(super().reset())
-
-    def step_async(self, actions: NDArray[Any]) -> None:
-        """Take numbers of subsets (N,)."""
-        super().step_async(self._members[actions])
-
-    def step_wait(self) -> VecEnvStepReturn:
-        """Step every route; ended ones begin anew."""
-        observation, rewards, dones, infos = super().step_wait()
-        assert isinstance(observation, np.ndarray)
-        return self._note(observation), rewards, dones, infos
-
-    def _note(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        self._present = presence(torch.from_numpy(observation))
-        return observation
-
-    def action_masks(self) -> list[NDArray[np.bool_]]:
-        """For every route, which subsets may run, (2^S,)."""
-        return list(valid(self._present).numpy())
-
-    def has_attr(self, attr_name: str) -> bool:
-        """Whether there is such an attribute, here or in the wrapped environment."""
-        return attr_name == "action_masks" or super().has_attr(attr_name)
-
-    def env_method(
-        self,
-        method_name: str,
-        *method_args: Any,
-        indices: VecEnvIndices = None,
-        **method_kwargs: Any,
-    ) -> list[Any]:
-        """Call a method of the wrapped environment, or this one's ``action_masks``."""
-        if method_name == "action_masks":
-            return self.action_masks()
-        return super().env_method(method_name, *method_args, indices=indices, **method_kwargs)
 
 
 KIND = Kind("subsets", SetSizes, SubsetNetwork, SubsetSelector)
