@@ -125,7 +125,7 @@ class TrainingConfig:
         timesteps: frames in all, over all routes; imitation counts its own.
         seed: of routes, weights and draws.
         n_envs: routes side by side.
-        threads: that step them; what is learned does not depend on it.
+        threads: that step them, with rollouts processes; what is learned does not depend on it.
         statistic: SIC's statistic.
         carry: whether places are carried on as candidates; None: as the statistic has it.
         discount: whether MuSIC discounts alike rows; None: as the statistic has it.

@@ -192,6 +192,8 @@ class PolicyIteration:
                 Samples(*(tensors[f"seen.{i}.{name}"].numpy() for name in Samples._fields))
                 for i in range(kept)
             ]
+            if any(len({len(array) for array in samples}) > 1 for samples in self.seen):
+                raise ValueError("states of different number")
             rows = json.loads(metadata["evaluations"])
             self.records.evaluations = [Evaluation(*row) for row in rows]
         except (KeyError, TypeError, ValueError) as error:
@@ -309,7 +311,7 @@ class Collectors:
         run: Any = map if self._pool is None else self._pool.map
         for samples in run(_collect_part, seeds, repeat(weights)):
             parts.append(samples)
-            bar.update(PART)
+            bar.update(min(PART, self.settings.states))
         return Samples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
@@ -325,7 +327,7 @@ def _begin(config: TrainingConfig, source: RouteSource) -> None:
 
 
 def _collect_part(seed: int, weights: dict[str, NDArray[np.float32]] | None) -> Samples:
-    """Collect ``PART`` states or a few more, in any process that is ready."""
+    """Collect ``PART`` states, or all where there are fewer, in any process that is ready."""
     config: TrainingConfig = _worker["config"]
     policy = None
     if weights is not None:
@@ -353,7 +355,7 @@ def collect(
     observation, info = env.reset(seed=int(rng.integers(2**31)))
     drives = Behaviour(env.num_envs, slots, policy, settings.share, rng)
     parts: list[Samples] = []
-    steps = -(-PART // env.num_envs) * settings.every
+    steps = -(-min(PART, settings.states) // env.num_envs) * settings.every
     for step in range(steps):
         actions = drives.act(observation, info["present"])
         observation, _, terminated, truncated, info = env.step(actions)
@@ -388,29 +390,30 @@ def roll_out(
         settings: frames and discount.
 
     Returns:
-        (N, B) discounted means per frame of the reward without compute, and of the compute.
+        (N, B) discounted means per frame of the horizon of the reward without compute, and of the
+        compute; both are 0 after a route's end.
     """
     routes, count, slots = subsets.shape
     copies = task.repeated(count)
     first = subsets.reshape(-1, slots)
     active = np.ones(len(first), np.bool_)
     sums = np.zeros((2, len(first)))
-    actions, weight, weights = first, 1.0, 0.0
+    actions = first
+    weights = np.cumprod([1.0, *[settings.discount] * (settings.horizon - 1)])
     observation: NDArray[np.float32] | None = None
-    for frame in range(settings.horizon):
+    for frame, weight in enumerate(weights):
         since = frame - settings.hold
         if policy is not None and observation is not None and since >= 0 and since % PACE == 0:
             actions = policy.act(observation, {})
         out, _, terms = copies.step(actions, active)
         rewards = sum((v for k, v in terms.items() if k != "compute"), np.zeros(len(first)))
         sums += weight * np.where(active, [rewards, out.routes["compute"]], 0.0)
-        weights += weight
-        weight *= settings.discount
         active &= ~copies.ends(out)[0]
         observation = out.observation
         if not active.any():
             break
-    correctness, compute = (sums / weights).astype(np.float32).reshape(2, routes, count)
+    means = (sums / weights.cumsum()[-1]).astype(np.float32)
+    correctness, compute = means.reshape(2, routes, count)
     return correctness, compute
 
 

@@ -34,6 +34,12 @@ LEARNING = {
 }
 """Options that decide how fast, and how well, an algorithm learns from its frames."""
 
+ROLLOUTS = {
+    "iterations": "of rollouts: each collects and learns",
+    "states": "from which each iteration tries subsets of techniques",
+}
+"""Options of the algorithm ``rollouts``."""
+
 
 def option(name: str) -> str:
     """The option of a setting: ``--n-steps`` of ``n_steps``."""
@@ -84,10 +90,17 @@ def _parser() -> Parser:
     add("--timesteps", type=int, help=f"frames in all (default: {defaults.timesteps})")
     add("--seed", type=int, help=f"of routes, weights and draws (default: {defaults.seed})")
     add("--n-envs", type=int, help=f"routes side by side (default: {defaults.n_envs})")
-    add("--threads", type=int, help="that step the routes: sooner, the same result (default: 1)")
+    add(
+        "--threads",
+        type=int,
+        help="that step the routes, with rollouts processes: sooner, the same result (default: 1)",
+    )
     for name, of in LEARNING.items():
         kind, default = type(getattr(defaults, name)), getattr(defaults, name)
         add(option(name), type=kind, help=f"{of} (default of ppo: {default})")
+    for name, of in ROLLOUTS.items():
+        default = getattr(defaults.rollouts, name)
+        add(option(name), type=int, help=f"{of} (default: {default})")
     add("--statistic", help=f"of SIC (default: {defaults.statistic})")
     add_correction(parser, "in training and ever after")
     add("--reward", help=f"estimated or ground_truth (default: {defaults.reward})")
@@ -122,15 +135,23 @@ def _config(given: argparse.Namespace) -> TrainingConfig:
             "--warm-start begins a training with ppo; leave it out to resume, or with another"
             " algorithm"
         )
+    tried = {name: getattr(given, name) for name in ROLLOUTS if getattr(given, name) is not None}
     if not given.resume:
-        defaults = WARM_START if given.warm_start else {}
-        return training_config(**{"algorithm": algorithm, **defaults, **chosen})
-    base = _stored(given.out)
-    for name in chosen.keys() - {"timesteps", "threads"}:
-        if chosen[name] != getattr(base, name):
+        if tried and algorithm != "rollouts":
             raise ValueError(
-                f"{name} is {chosen[name]}, but {given.out} was trained with"
-                f" {getattr(base, name)}; leave it out to resume, or give another folder"
+                f"{option(next(iter(tried)))} is of the algorithm rollouts; leave it out, or give"
+                " --algorithm rollouts"
+            )
+        defaults = WARM_START if given.warm_start else {}
+        config = training_config(**{"algorithm": algorithm, **defaults, **chosen})
+        return replace(config, rollouts=replace(config.rollouts, **tried)) if tried else config
+    base = _stored(given.out)
+    own = {**vars(base.rollouts), **vars(base)}
+    for name, value in {**chosen, **tried}.items():
+        if name not in ("timesteps", "threads") and value != own[name]:
+            raise ValueError(
+                f"{name} is {value}, but {given.out} was trained with"
+                f" {own[name]}; leave it out to resume, or give another folder"
             )
     return replace(base, **chosen)
 

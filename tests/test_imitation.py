@@ -12,7 +12,7 @@ import pytest
 import torch
 from env_cases import random_bank
 from safetensors.torch import load_file
-from small_training import SCRIPTS, SMALL
+from small_training import SCRIPTS, SMALL, contents, stop_at
 
 from agents import dagger as dagger_module
 from agents.config import (
@@ -80,13 +80,6 @@ def cautious(weight: float) -> Cascade:
 
 def teacher() -> ByWeight:
     return by_weight(cautious, WEIGHTS, parts=2)
-
-
-def contents(run: Path) -> dict[str, bytes]:
-    """What a run folder says; of a checkpoint the tensors, for its metadata have no order."""
-    files = {p.name: p.read_bytes() for p in run.iterdir() if p.is_file() and p.name != CHECKPOINT}
-    tensors = load_file(run / CHECKPOINT)
-    return files | {name: tensor.numpy().tobytes() for name, tensor in tensors.items()}
 
 
 # ---- a teacher for every λ -----------------------------------------------------------------
@@ -272,19 +265,6 @@ def test_the_run_folder_tells_how_it_went(whole):
     assert stored_config(run) == small()
     trace = rollout(load_selector(run), random_bank(3, techniques=5), name="i", compute_weight=0.3)
     assert trace.ran.shape == (40, 5)
-
-
-def stop_at(monkeypatch, owner, name: str, call: int) -> None:
-    """Ctrl-C at the given call of ``owner.name``."""
-    original, calls = getattr(owner, name), []
-
-    def counting(*arguments, **keywords):
-        calls.append(name)
-        if len(calls) == call:
-            raise KeyboardInterrupt
-        return original(*arguments, **keywords)
-
-    monkeypatch.setattr(owner, name, counting)
 
 
 @pytest.fixture(scope="module")
