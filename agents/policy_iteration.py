@@ -144,6 +144,8 @@ class PolicyIteration:
 
     def _iterate(self, collectors: Collectors, bar: tqdm) -> None:
         rng = np.random.default_rng([self.config.seed, self.done])
+        if self.done == 1:  # without a policy a subset runs to the end, which is another value
+            self.seen.clear()
         self.seen = [*self.seen, collectors.collect(self.policy, rng, bar)]
         self.seen = self.seen[-self.settings.kept :]
         torch.manual_seed(int(rng.integers(2**31)))
@@ -187,7 +189,7 @@ class PolicyIteration:
         self.policy = SubsetSelector(network, self.config.statistic, self.config.environment())
         try:
             self.done = int(metadata["done"])
-            kept = min(self.done, self.settings.kept)
+            kept = sum(f"seen.{i}.subsets" in tensors for i in range(self.settings.kept))
             self.seen = [
                 Samples(*(tensors[f"seen.{i}.{name}"].numpy() for name in Samples._fields))
                 for i in range(kept)
