@@ -189,7 +189,7 @@ class PolicyIteration:
         self.policy = SubsetSelector(network, self.config.statistic, self.config.environment())
         try:
             self.done = int(metadata["done"])
-            kept = sum(f"seen.{i}.subsets" in tensors for i in range(self.settings.kept))
+            kept = min(max(1, self.done - 1), self.settings.kept)
             self.seen = [
                 Samples(*(tensors[f"seen.{i}.{name}"].numpy() for name in Samples._fields))
                 for i in range(kept)
