@@ -118,6 +118,7 @@ def assert_rows(whole: Outcome, part: Outcome, rows: slice) -> None:
     [
         ("evidence", {}),
         ("evidence", {"reselection": 5}),
+        ("evidence", {"reselection": 8, "candidates": 1}),
         ("evidence", {"carry": False, "discount": False, "gamma": 0.9, "allow_idle": True}),
         ("mean", {}),
         ("mean", {"reselection": 5, "reward": "ground_truth"}),
@@ -391,9 +392,14 @@ def made_up(rng: np.random.Generator, states: int = 1000) -> tuple[Samples, np.n
 FIT = RolloutConfig(epochs=30, batch_size=100, learning_rate=4e-3)
 
 
-def fitted(samples: list[Samples], settings: RolloutConfig = FIT) -> tuple[SubsetNetwork, float]:
+def fitted(
+    samples: list[Samples], settings: RolloutConfig = FIT, level: float = 0.0
+) -> tuple[SubsetNetwork, float]:
+    """The network, which begins with values that much higher, and the loss."""
     torch.manual_seed(0)
     network = SubsetNetwork(SetSizes())
+    with torch.no_grad():
+        network.value.bias.add_(level)
     return network, learn(network, samples, settings, np.random.default_rng(0))
 
 
@@ -434,6 +440,9 @@ def test_only_differences_within_a_state_count():
     (first, loss), (second, other) = fitted([samples], short), fitted([lifted], short)
     assert loss == pytest.approx(other, rel=1e-4)
     torch.testing.assert_close(first.value.weight, second.value.weight, rtol=1e-3, atol=1e-4)
+    third, other = fitted([samples], short, level=3.0)
+    assert loss == pytest.approx(other, rel=1e-4)
+    torch.testing.assert_close(first.value.weight, third.value.weight, rtol=1e-3, atol=1e-4)
 
 
 # ---- the iterations ------------------------------------------------------------------------
@@ -480,10 +489,12 @@ def test_the_last_iterations_are_learned_from_but_the_first_only_at_first(
     whole, tmp_path, monkeypatch
 ):
     """Without a policy a subset runs to the end of its rollout: those values are others."""
-    learned = []
+    learned: list[list[bytes]] = []
+    weights: list[set[float]] = []
 
     def noting(network, seen, settings, rng):
         learned.append([samples.correctness.tobytes() for samples in seen])
+        weights.append(set(compute_weight(torch.from_numpy(seen[-1].observations)).tolist()))
         return learn(network, seen, settings, rng)
 
     monkeypatch.setattr(policy_iteration, "learn", noting)
@@ -493,6 +504,7 @@ def test_the_last_iterations_are_learned_from_but_the_first_only_at_first(
     assert first != second
     assert third[0] == second[0]
     assert fourth[0] == third[1]
+    assert len(set.union(*weights)) == sum(map(len, weights))  # each drives on routes of its own
 
 
 def test_the_selector_loads_and_drives_any_techniques(whole):
