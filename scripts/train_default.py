@@ -1,10 +1,10 @@
 """Train a selector that ships, from its seed, and say whether it came out as it ships.
 
-For ``evidence`` by policy iteration with rollouts. For ``belief`` a cascade is chosen for every part
-of the range of λ, imitated, and the imitation goes on learning with PPO. All of it on simulated
-routes, by their ground truth. The run folder is ``--out``; ``--ship`` puts its selector into the
-statistic's folder in ``agents/pretrained``, unless the one that is there does better. A run that
-was stopped goes on where it was.
+For ``evidence`` by policy iteration with rollouts. For ``belief`` a cascade is chosen for every
+part of the range of λ, imitated, and the imitation goes on learning with PPO. All of it on
+simulated routes, by their ground truth. The run folder is ``--out``; ``--ship`` puts its selector
+into the statistic's folder in ``agents/pretrained``, unless the one that is there does better. A
+run that was stopped goes on where it was.
 """
 
 from __future__ import annotations
