@@ -34,7 +34,10 @@ MOST_ROUTES = 65_536
 WARM_START: dict[str, Any] = {"entropy": 0.001, "learning_rate": 4e-4, "frozen_updates": 8}
 """Defaults of PPO that begins from weights that can drive already: it must not undo them."""
 
-DEFAULTS: dict[str, dict[str, Any]] = {"imitation+ppo": WARM_START}
+DEFAULTS: dict[str, dict[str, Any]] = {
+    "imitation+ppo": WARM_START,
+    "rollouts": {"n_envs": 48, "pool": 512, "compute_weights": (0.02, 4.0)},
+}
 """Where an algorithm's defaults are not those of PPO from scratch."""
 
 
