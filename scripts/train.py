@@ -89,7 +89,7 @@ def _parser() -> Parser:
     add("--bank", action="append", default=[], help="train on this bank (repeat)")
     add("--timesteps", type=int, help=f"frames in all (default: {defaults.timesteps})")
     add("--seed", type=int, help=f"of routes, weights and draws (default: {defaults.seed})")
-    add("--n-envs", type=int, help=f"routes side by side (default: {defaults.n_envs})")
+    add("--n-envs", type=int, help=f"routes side by side (default of ppo: {defaults.n_envs})")
     add(
         "--threads",
         type=int,
