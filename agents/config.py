@@ -87,7 +87,8 @@ class RolloutConfig:
         discount: of later frames in it.
         every: frames of a drive between two states.
         share: of the spells of a drive that the policy so far drives.
-        epochs: passes over all states in each iteration.
+        epochs: passes over all states in each iteration ...
+        last_epochs: ... and in the last one.
         batch_size: states per gradient step.
         learning_rate: at the start of each iteration; falls linearly to zero in it.
 
@@ -96,21 +97,31 @@ class RolloutConfig:
     """
 
     iterations: int = 6
-    states: int = 8_000
-    kept: int = 3
+    states: int = 10_000
+    kept: int = 4
     subsets: int = 8
     hold: int = 8
     horizon: int = 80
     discount: float = 0.985
     every: int = 12
     share: float = 0.7
-    epochs: int = 12
+    epochs: int = 8
+    last_epochs: int = 30
     batch_size: int = 256
     learning_rate: float = 2e-3
 
     def __post_init__(self) -> None:
         """Refuse what nothing can be learned from."""
-        for name in ("iterations", "states", "kept", "hold", "horizon", "every", "epochs"):
+        for name in (
+            "iterations",
+            "states",
+            "kept",
+            "hold",
+            "horizon",
+            "every",
+            "epochs",
+            "last_epochs",
+        ):
             _whole(name, getattr(self, name), 1)
         _whole("batch_size", self.batch_size, 2)
         _whole("subsets", self.subsets, 4)
