@@ -35,7 +35,7 @@ from agents.learners.common import make_env
 from agents.network import SetSizes
 from agents.run_folder import CHECKPOINT, check_layers, read_tensors, write_tensors
 from agents.selector import load_selector
-from agents.subsets import SubsetNetwork, SubsetSelector
+from agents.subsets import MOST_SLOTS, SubsetNetwork, SubsetSelector
 from agents.training import bank_folders, refuse_used, training_source
 from amusic_gym.policy import Selector
 from amusic_gym.sources import BankLike, RouteSource
@@ -123,6 +123,11 @@ class PolicyIteration:
     def __init__(self, out: Path, config: TrainingConfig, source: RouteSource) -> None:
         self.out = out
         self.config = config
+        if source.slots > MOST_SLOTS:
+            raise ValueError(
+                f"routes of {source.slots} techniques have too many subsets to try; give routes of"
+                f" at most {MOST_SLOTS}, or take --algorithm ppo"
+            )
         self.settings: RolloutConfig = config.rollouts
         self.source = source
         self.records = Records(out, config, [], "subsets", SetSizes())

@@ -24,36 +24,37 @@ from amusic_gym.settings import COMPUTE_WEIGHT_RANGE
 WEIGHT = ROUTE_FEATURES.index("compute_weight")
 
 MOST_SLOTS = 10
-"""1024 subsets; every technique more doubles what a step costs."""
+"""Techniques of which all subsets are rated, 1024; every technique more doubles them."""
 
 
 @lru_cache
 def members(slots: int) -> torch.Tensor:
-    """(2^S, S) bool: subset a holds technique t if bit t of the number a is set.
+    """(A, S) bool, the techniques of every subset that is rated; the first one is empty.
 
-    Raises:
-        ValueError: for more than `MOST_SLOTS` techniques.
+    Of up to `MOST_SLOTS` techniques these are all 2^S: subset a holds technique t if bit t of the
+    number a is set. Of more, they are those of at most two techniques.
     """
-    if slots > MOST_SLOTS:
-        raise ValueError(
-            f"{slots} techniques have 2^{slots} subsets, and this kind of selector rates every"
-            f" one: give at most {MOST_SLOTS} techniques, or train one with --algorithm ppo"
-        )
-    numbers = torch.arange(2**slots).unsqueeze(1)
-    return (numbers >> torch.arange(slots)) & 1 == 1
+    if slots <= MOST_SLOTS:
+        numbers = torch.arange(2**slots).unsqueeze(1)
+        return (numbers >> torch.arange(slots)) & 1 == 1
+    pairs = torch.combinations(torch.arange(slots), with_replacement=True)
+    subsets = torch.zeros(1 + len(pairs), slots, dtype=torch.bool)
+    return subsets.index_put(
+        (torch.arange(1, 1 + len(pairs)).unsqueeze(1), pairs), torch.tensor(True)
+    )
 
 
 def valid(present: torch.Tensor) -> torch.Tensor:
-    """(B, 2^S) which subsets may run, from (B, S): not the empty one, nothing that is absent."""
+    """(B, A) which subsets may run, from (B, S): not the empty one, nothing that is absent."""
     member = members(present.shape[1])
-    strange = (~present).float() @ member.float().T  # (B, 2^S) absent members of each
+    strange = (~present).float() @ member.float().T  # (B, A) absent members of each
     allowed = strange < 0.5
     allowed[:, 0] = False  # the environment would run the cheapest technique
     return allowed
 
 
 class SubsetNetwork(nn.Module):
-    """Ratings (B, 2^S) of all subsets from observations (B, D); absent members count nothing.
+    """Ratings (B, A) of subsets from observations (B, D); absent members count nothing.
 
     A rating is the correctness that is to be expected, less λ times the compute.
 
@@ -69,15 +70,15 @@ class SubsetNetwork(nn.Module):
         self.value = nn.Linear(sizes.hidden, 2)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """(B, 2^S) ratings."""
+        """(B, A) ratings."""
         correctness, compute = self.values(observation).unbind(2)
         return correctness - compute_weight(observation).unsqueeze(1) * compute
 
     def values(self, observation: torch.Tensor) -> torch.Tensor:
-        """(B, 2^S, 2) expected correctness and compute of each subset."""
+        """(B, A, 2) expected correctness and compute of each subset."""
         codes, pool = self.encoder(observation)
-        member = members(codes.shape[1]).float()  # (2^S, S)
-        sums = torch.einsum("as,bsh->bah", member, self.member(codes))  # (B, 2^S, H)
+        member = members(codes.shape[1]).float()  # (A, S)
+        sums = torch.einsum("as,bsh->bah", member, self.member(codes))  # (B, A, H)
         values: torch.Tensor = self.value(torch.relu(sums + self.whole(pool).unsqueeze(1)))
         return values
 

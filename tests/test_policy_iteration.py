@@ -627,6 +627,12 @@ def test_bad_settings_are_refused(changes, sentence):
         RolloutConfig(**changes)
 
 
+def test_routes_of_more_techniques_than_can_be_tried_are_refused(tmp_path):
+    routes = Banks([random_bank(1, techniques=11, queries=9)])
+    with pytest.raises(ValueError, match="11 techniques.*at most 10"):
+        iterate_policy(tmp_path / "run", small(), source=routes, progress=False)
+
+
 def test_it_is_no_algorithm_that_learns_step_by_step():
     with pytest.raises(ValueError, match=r"call agents.imitation.imitate or .*iterate_policy"):
         make_model(small(), SimulatedRoutes(pool=1))
