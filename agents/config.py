@@ -143,6 +143,7 @@ class TrainingConfig:
         statistic: SIC's statistic.
         carry: whether places are carried on as candidates; None: as the statistic has it.
         discount: whether MuSIC discounts alike rows; None: as the statistic has it.
+        allow_idle: whether the selector may run nothing on a frame; by policy iteration only.
         reward: name in `amusic_gym.rewards.REWARDS`; ``"ground_truth"`` learns from what is true on
             the training routes instead of from p̂, which a selector may learn to please.
         compute_weights: range from which every episode draws λ, on a logarithmic scale.
@@ -176,6 +177,7 @@ class TrainingConfig:
     statistic: str = SICSettings.statistic
     carry: bool | None = SICSettings.carry
     discount: bool | None = SICSettings.discount
+    allow_idle: bool = False
     reward: str = "estimated"
     compute_weights: tuple[float, float] = (0.01, 6.0)
     simulation: dict[str, Any] = field(default_factory=dict)
@@ -209,17 +211,23 @@ class TrainingConfig:
             raise ValueError(f"seed is {self.seed!r}; give a whole number from 0 to {HIGHEST_SEED}")
         if self.rollout < 2:
             raise ValueError("n_steps * n_envs is 1; raise one of them: an update needs 2 frames")
+        if self.allow_idle and self.algorithm != "rollouts":
+            raise ValueError(
+                f"algorithm {self.algorithm!r} learns no selector that may idle; leave out"
+                " allow_idle, or take 'rollouts'"
+            )
         self.environment()
         self.population()
 
     def environment(self) -> dict[str, bool]:
-        """How SIC works besides its statistic: arguments of the environment, none left open.
+        """How SIC works besides its statistic, and idling: arguments of the environment.
 
         Raises:
             ValueError: for an unknown statistic, or what it has no use for.
         """
         settings = SICSettings(self.statistic, carry=self.carry, discount=self.discount)
-        return {name: bool(getattr(settings, name)) for name in ("carry", "discount")}
+        idle = {"allow_idle": True} if self.allow_idle else {}
+        return {name: bool(getattr(settings, name)) for name in ("carry", "discount")} | idle
 
     def population(self) -> Simulation:
         """The ranges that training routes are drawn from.

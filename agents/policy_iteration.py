@@ -224,6 +224,7 @@ class Behaviour:
         policy: the policy so far; None: subsets only.
         share: of the spells that the policy drives.
         rng: of all that is drawn.
+        idle: whether a subset may be empty.
     """
 
     def __init__(
@@ -233,7 +234,9 @@ class Behaviour:
         policy: SubsetSelector | None,
         share: float,
         rng: np.random.Generator,
+        idle: bool = False,
     ) -> None:
+        self.sizes = (1, 1, 1, 2, 2, 3, MOST_SLOTS, *([0] if idle else []))
         self.policy = policy
         self.share = share if policy is not None else 0.0
         self.rng = rng
@@ -248,7 +251,7 @@ class Behaviour:
         for i in np.flatnonzero(self.left <= 0):
             self.left[i] = self.rng.integers(*SPELL)
             self.own[i] = self.rng.random() < self.share
-            self.subset[i] = draw_subset(present[i], (1, 1, 1, 2, 2, 3, 99), self.rng)
+            self.subset[i] = draw_subset(present[i], self.sizes, self.rng)
         self.left -= 1
         if self.policy is None:
             return self.subset.copy()
@@ -267,12 +270,21 @@ def draw_subset(
 
 
 def draw_subsets(
-    action: NDArray[np.bool_], present: NDArray[np.bool_], count: int, rng: np.random.Generator
+    action: NDArray[np.bool_],
+    present: NDArray[np.bool_],
+    count: int,
+    rng: np.random.Generator,
+    idle: bool = False,
 ) -> NDArray[np.bool_]:
-    """(B, S) subsets to try in a state: the policy's, single techniques, all, and others."""
+    """(B, S) subsets to try in a state: the policy's, single techniques, all, and others.
+
+    The last one is empty if ``idle``.
+    """
     singles = rng.permutation(np.flatnonzero(present))[: count - 3]
     rest = count - 2 - singles.size
-    others = [draw_subset(present, (2, 2, 2, 3, 99), rng) for _ in range(rest)]
+    others = [draw_subset(present, (2, 2, 2, 3, MOST_SLOTS), rng) for _ in range(rest)]
+    if idle:
+        others[-1] = np.zeros(present.size, np.bool_)
     return np.array([action, *np.eye(present.size, dtype=np.bool_)[singles], present, *others])
 
 
@@ -363,7 +375,8 @@ def collect(
     """
     slots = env.task.slots
     observation, info = env.reset(seed=int(rng.integers(2**31)))
-    drives = Behaviour(env.num_envs, slots, policy, settings.share, rng)
+    idle = env.task.episodes.rules.allow_idle
+    drives = Behaviour(env.num_envs, slots, policy, settings.share, rng, idle)
     parts: list[Samples] = []
     steps = -(-min(PART, settings.states) // env.num_envs) * settings.every
     for step in range(steps):
@@ -375,7 +388,7 @@ def collect(
         own = drives.subset if policy is None else policy.act(observation, {})
         subsets = np.stack(
             [
-                draw_subsets(action, present, settings.subsets, rng)
+                draw_subsets(action, present, settings.subsets, rng, idle)
                 for action, present in zip(own, info["present"], strict=True)
             ]
         )  # (N, B, S)

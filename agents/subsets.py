@@ -44,12 +44,15 @@ def members(slots: int) -> torch.Tensor:
     )
 
 
-def valid(present: torch.Tensor) -> torch.Tensor:
-    """(B, A) which subsets may run, from (B, S): not the empty one, nothing that is absent."""
+def valid(present: torch.Tensor, idle: bool = False) -> torch.Tensor:
+    """(B, A) which subsets may run, from (B, S): nothing that is absent; the empty one if ``idle``.
+
+    Where idling is not allowed, the environment would run the cheapest technique instead of it.
+    """
     member = members(present.shape[1])
     strange = (~present).float() @ member.float().T  # (B, A) absent members of each
     allowed = strange < 0.5
-    allowed[:, 0] = False  # the environment would run the cheapest technique
+    allowed[:, 0] = idle
     return allowed
 
 
@@ -99,7 +102,8 @@ class SubsetSelector(NetworkSelector[SubsetNetwork]):
         seen = torch.from_numpy(observation)
         present = presence(seen)
         with torch.no_grad():
-            ratings = self.network(seen).masked_fill(~valid(present), -torch.inf)
+            allowed = valid(present, self.needs.allow_idle)
+            ratings = self.network(seen).masked_fill(~allowed, -torch.inf)
         return members(present.shape[1])[ratings.argmax(1)].numpy()
 
 

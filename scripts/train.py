@@ -111,6 +111,12 @@ def _parser() -> Parser:
         help="draw training routes from other ranges, for example retimed=0 wander=0:0 "
         "(names: amusic_gym.routes.simulate.Simulation)",
     )
+    add(
+        "--allow-idle",
+        action="store_const",
+        const=True,
+        help="with rollouts: the selector may run nothing on a frame",
+    )
     add("--warm-start", type=Path, metavar="RUN", help="let ppo begin from this run's selector")
     add(
         "--resume",
@@ -124,7 +130,9 @@ def _config(given: argparse.Namespace) -> TrainingConfig:
     """The defaults, or the configuration of the run to resume, with what was given."""
     from agents.config import WARM_START, training_config
 
-    given_names = "algorithm timesteps seed n_envs threads statistic carry discount reward"
+    given_names = (
+        "algorithm timesteps seed n_envs threads statistic carry discount allow_idle reward"
+    )
     names = [*given_names.split(), *LEARNING]
     chosen = {name: getattr(given, name) for name in names if getattr(given, name) is not None}
     if given.simulation:

@@ -37,7 +37,7 @@ from agents.policy_iteration import (
 )
 from agents.run_folder import CHECKPOINT, CONFIG, EVALUATIONS, SELECTOR, write_tensors
 from agents.selector import load_selector
-from agents.subsets import SubsetNetwork, SubsetSelector, compute_weight, members
+from agents.subsets import SubsetNetwork, SubsetSelector, compute_weight, members, valid
 from agents.training import make_model
 from amusic_gym.bank import ScoreBank
 from amusic_gym.env import TechniqueSelectionEnv
@@ -631,6 +631,31 @@ def test_routes_of_more_techniques_than_can_be_tried_are_refused(tmp_path):
     routes = Banks([random_bank(1, techniques=11, queries=9)])
     with pytest.raises(ValueError, match="11 techniques.*at most 10"):
         iterate_policy(tmp_path / "run", small(), source=routes, progress=False)
+
+
+def test_a_selector_may_idle_where_it_learned_to(tmp_path):
+    config = small(allow_idle=True, compute_weights=(4.0, 4.0))
+    selector = iterate_policy(tmp_path / "run", config, progress=False)
+    assert selector.needs.allow_idle
+    assert load_selector(tmp_path / "run").needs.allow_idle
+    present = torch.ones(1, 3, dtype=torch.bool)
+    assert valid(present, idle=True)[0, 0]
+    assert not valid(present)[0, 0]
+
+
+def test_the_empty_subset_is_tried_where_idling_is_allowed():
+    present = np.array([True, True, False])
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        tried = draw_subsets(present, present, 6, rng, idle=True)
+        assert not tried[-1].any()
+        assert not tried[:, 2].any()
+        assert draw_subsets(present, present, 6, rng).any(axis=1).all()
+
+
+def test_other_algorithms_learn_no_idling():
+    with pytest.raises(ValueError, match="'ppo' learns no selector that may idle.*'rollouts'"):
+        TrainingConfig(allow_idle=True)
 
 
 def test_it_is_no_algorithm_that_learns_step_by_step():
