@@ -36,7 +36,7 @@ WARM_START: dict[str, Any] = {"entropy": 0.001, "learning_rate": 4e-4, "frozen_u
 
 DEFAULTS: dict[str, dict[str, Any]] = {
     "imitation+ppo": WARM_START,
-    "rollouts": {"n_envs": 48, "pool": 512, "compute_weights": (0.02, 4.0), "held_out": 64},
+    "rollouts": {"n_envs": 48, "pool": 512, "compute_weights": (0.02, 4.0)},
 }
 """Where an algorithm's defaults are not those of PPO from scratch."""
 
@@ -87,8 +87,7 @@ class RolloutConfig:
         discount: of later frames in it.
         every: frames of a drive between two states.
         share: of the spells of a drive that the policy so far drives.
-        epochs: passes over all states in each iteration ...
-        last_epochs: ... and in the last one.
+        epochs: passes over all states in each iteration.
         batch_size: states per gradient step.
         learning_rate: at the start of each iteration; falls linearly to zero in it.
 
@@ -96,7 +95,7 @@ class RolloutConfig:
         ValueError: for a number out of range.
     """
 
-    iterations: int = 10
+    iterations: int = 7
     states: int = 10_000
     kept: int = 4
     subsets: int = 8
@@ -105,8 +104,7 @@ class RolloutConfig:
     discount: float = 0.985
     every: int = 12
     share: float = 0.7
-    epochs: int = 8
-    last_epochs: int = 30
+    epochs: int = 12
     batch_size: int = 256
     learning_rate: float = 2e-3
 

@@ -155,10 +155,7 @@ class PolicyIteration:
         self.seen = self.seen[-self.settings.kept :]
         torch.manual_seed(int(rng.integers(2**31)))
         network = SubsetNetwork(SetSizes())
-        settings, last = self.settings, self.done + 1 == self.settings.iterations
-        if last:
-            settings = replace(settings, epochs=settings.last_epochs)
-        loss = learn(network, self.seen, settings, rng)
+        loss = learn(network, self.seen, self.settings, rng)
         self.policy = SubsetSelector(network, self.config.statistic, self.config.environment())
         self.done += 1
         result = self.held_out.evaluate(self.policy, self.done * self.settings.states)
