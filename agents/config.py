@@ -118,7 +118,6 @@ class RolloutConfig:
             "horizon",
             "every",
             "epochs",
-            "last_epochs",
         ):
             _whole(name, getattr(self, name), 1)
         _whole("batch_size", self.batch_size, 2)
