@@ -14,9 +14,14 @@ beside those that mislead does not, so that every small step towards it costs mo
 from __future__ import annotations
 
 import json
+import multiprocessing
+import signal
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -40,6 +45,9 @@ from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 SPELL = (3, 50)
 """Frames for which a route of a collection is driven in one way: by the policy, or by a subset."""
 
+
+PART = 1000
+"""States that are collected in one go, from the beginning of every route on."""
 
 PACE = 2
 """Frames between two decisions of the policy in a rollout; half of the time goes into them."""
@@ -116,7 +124,7 @@ class PolicyIteration:
         self.out = out
         self.config = config
         self.settings: RolloutConfig = config.rollouts
-        self.env = make_env(config, source)
+        self.source = source
         self.records = Records(out, config, [], "subsets", SetSizes())
         self.held_out = HeldOut(config.held_out, config.statistic)
         self.policy: SubsetSelector | None = None
@@ -127,13 +135,16 @@ class PolicyIteration:
         """Collect, learn, evaluate and keep, iteration by iteration."""
         total = self.settings.iterations * self.settings.states
         begun = self.done * self.settings.states
-        with tqdm(total=total, initial=begun, desc="rollouts", disable=not progress) as bar:
+        with (
+            tqdm(total=total, initial=begun, desc="rollouts", disable=not progress) as bar,
+            Collectors(self.config, self.source) as collectors,
+        ):
             while self.done < self.settings.iterations:
-                self._iterate(bar)
+                self._iterate(collectors, bar)
 
-    def _iterate(self, bar: tqdm) -> None:
+    def _iterate(self, collectors: Collectors, bar: tqdm) -> None:
         rng = np.random.default_rng([self.config.seed, self.done])
-        self.seen = [*self.seen, collect(self.env, self.policy, self.settings, rng, bar)]
+        self.seen = [*self.seen, collectors.collect(self.policy, rng, bar)]
         self.seen = self.seen[-self.settings.kept :]
         torch.manual_seed(int(rng.integers(2**31)))
         network = SubsetNetwork(SetSizes())
@@ -253,27 +264,96 @@ def draw_subsets(
     return np.array([action, *np.eye(present.size, dtype=np.bool_)[singles], present, *others])
 
 
+class Collectors:
+    """Collects in parts, in this process or, with ``config.threads``, in several others.
+
+    What is collected does not depend on how many there are.
+
+    Args:
+        config: of the training.
+        source: routes to drive on.
+    """
+
+    def __init__(self, config: TrainingConfig, source: RouteSource) -> None:
+        self.settings = config.rollouts
+        self._pool: ProcessPoolExecutor | None = None
+        one = replace(config, threads=1)  # of the statistic belief
+        if config.threads == 1:
+            _begin(one, source)
+        else:
+            context = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(config.threads, context, _begin, (one, source))
+
+    def __enter__(self) -> Collectors:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+
+    def collect(
+        self, policy: SubsetSelector | None, rng: np.random.Generator, bar: tqdm
+    ) -> Samples:
+        """What rollouts from an iteration's states come to.
+
+        Args:
+            policy: the policy so far; None at first.
+            rng: of the seeds of the parts.
+            bar: moves on by the states.
+        """
+        seeds = rng.integers(2**63, size=-(-self.settings.states // PART)).tolist()
+        weights = None
+        if policy is not None:
+            weights = {name: w.numpy() for name, w in policy.network.state_dict().items()}
+        parts: list[Samples] = []
+        run: Any = map if self._pool is None else self._pool.map
+        for samples in run(_collect_part, seeds, repeat(weights)):
+            parts.append(samples)
+            bar.update(PART)
+        return Samples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+_worker: dict[str, Any] = {}
+"""What a collecting process keeps: the configuration and the environment."""
+
+
+def _begin(config: TrainingConfig, source: RouteSource) -> None:
+    """Make a process ready to collect."""
+    if multiprocessing.parent_process() is not None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process ends the others
+    _worker.update(config=config, env=make_env(config, source))
+
+
+def _collect_part(seed: int, weights: dict[str, NDArray[np.float32]] | None) -> Samples:
+    """Collect ``PART`` states or a few more, in any process that is ready."""
+    config: TrainingConfig = _worker["config"]
+    policy = None
+    if weights is not None:
+        network = SubsetNetwork(SetSizes())
+        network.load_state_dict({name: torch.from_numpy(w) for name, w in weights.items()})
+        policy = SubsetSelector(network, config.statistic, config.environment())
+    return collect(_worker["env"], policy, config.rollouts, np.random.default_rng(seed))
+
+
 def collect(
     env: TechniqueSelectionVectorEnv,
     policy: SubsetSelector | None,
     settings: RolloutConfig,
     rng: np.random.Generator,
-    bar: tqdm,
 ) -> Samples:
     """Drive, and try subsets by rollouts on every so many frames.
 
     Args:
         env: the routes; with SAME_STEP autoreset.
         policy: the policy so far; None at first: then a subset runs to the end of its rollout.
-        settings: how many states, subsets and frames.
+        settings: how many subsets and frames.
         rng: of all that is drawn.
-        bar: moves on by the states.
     """
     slots = env.task.slots
     observation, info = env.reset(seed=int(rng.integers(2**31)))
     drives = Behaviour(env.num_envs, slots, policy, settings.share, rng)
     parts: list[Samples] = []
-    steps = -(-settings.states // env.num_envs) * settings.every
+    steps = -(-PART // env.num_envs) * settings.every
     for step in range(steps):
         actions = drives.act(observation, info["present"])
         observation, _, terminated, truncated, info = env.step(actions)
@@ -290,7 +370,6 @@ def collect(
         correctness, compute = roll_out(env.task, subsets, policy, settings)
         numbers = (subsets * (1 << np.arange(slots))).sum(2)
         parts.append(Samples(observation.copy(), numbers, correctness, compute))
-        bar.update(env.num_envs)
     return Samples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
