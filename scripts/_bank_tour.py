@@ -88,8 +88,8 @@ def _part(text: str) -> tuple[ImageFolder, ImageFolder]:
     found = _PART.fullmatch(text)
     if found is None:
         raise ValueError(
-            f"--part {text!r} is not of the form REFERENCE:QUERY or REFERENCE:QUERY@FIRST:STOP:STEP,"
-            " two folders with one colon between them"
+            f"--part {text!r} is not of the form REFERENCE:QUERY or "
+            "REFERENCE:QUERY@FIRST:STOP:STEP, two folders with one colon between them"
         )
     reference, query, first, stop, step = found.groups()
     if first is None:
