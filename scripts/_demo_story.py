@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from amusic_gym.audit import PARTING
 from amusic_gym.plots.labels import policy_label
@@ -11,8 +10,7 @@ from amusic_gym.study import Findings
 from amusic_gym.study.cells import FRONTS, IDLE
 from amusic_gym.study.findings import ahead
 from amusic_gym.study.plan import MEAN
-
-Row = Mapping[str, Any]
+from amusic_gym.study.run import Row
 
 
 def best_within(rows: Sequence[Row], compute: float) -> Row:

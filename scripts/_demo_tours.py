@@ -16,7 +16,7 @@ from amusic_gym.routes.tours import Tour, make_tour
 
 TECHNIQUES = ("hog", "calc", "netvlad", "cohog")
 TOLERANCE = 1
-PLACES = 120
+PLACES = 100
 SEEDS = (1, 2, 3)
 SHOWN = 20
 """Frames into a spell: the image of it that the contact sheet shows."""
@@ -68,6 +68,7 @@ def banks_of(tours: list[Tour], out: Path, say: Callable[[str], None]) -> list[S
                 ground_truth=tour.ground_truth(TOLERANCE),
                 source=tour.source,
                 cache=cache,
+                executor="process:2",
                 name=name,
                 out=out / "banks" / name,
             )

@@ -11,26 +11,23 @@ from __future__ import annotations
 import os
 import time
 import warnings
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from _cli import Parser, run
 from _contestants import contestants
-from _study_policies import Lineup
+from _rivals import study_rivals
 
 from agents.config import RolloutConfig, TrainingConfig
 from agents.policy_iteration import iterate_policy
 from agents.run_folder import CHECKPOINT
 from agents.selector import load_selector
-from amusic_gym import study
 from amusic_gym.bank import COST_MODELS, ScoreBank
-from amusic_gym.comparison import COMPUTE_WEIGHTS, all_subsets, compare, draw, table
+from amusic_gym.comparison import all_subsets, compare, draw, table
 from amusic_gym.importers import from_recording
 from amusic_gym.metrics import mean_rows
 from amusic_gym.report import ReportFigure, write_report
 from amusic_gym.study import figures
-from amusic_gym.study.tables import write_markdown
 
 import _demo_story as story  # isort: skip
 import _demo_tours as rendered  # isort: skip
@@ -41,7 +38,6 @@ ITERATIONS, STATES = 3, 4_000
 PICTURED = ("amusic", "amusic:evidence", "music", "cascade", "random:0.3", "oracle", "ppo")
 """What every bank is compared on, besides the trained selector and all fixed subsets."""
 
-DRAWS = 5
 SELECTORS = {
     "trained here": "On tours that no training saw, the selector trained here",
     "ships": "The selector that ships",
@@ -53,20 +49,6 @@ _begun = time.monotonic()
 def say(text: str) -> None:
     """Print a heading with the seconds since the start."""
     print(f"[{time.monotonic() - _begun:4.0f} s] {text}", flush=True)
-
-
-def rivals(techniques: Sequence[str]) -> list[str]:
-    """Rules of every kind, each with a small grid of settings."""
-    grid = [f"{cheap}/{hold}" for cheap in (1, 2) for hold in (3, 10, 20, 40)]
-    fixed = ["amusic", "amusic:evidence", "oracle", "voi", "voi:idle"]
-    random = [f"random:{p}" for p in (0.05, 0.1, 0.2, 0.3, 0.5, 0.7)]
-    periodic = [
-        f"periodic:{n}{tail}"
-        for n in (2, 3, 5, 10, 20)
-        for tail in ("", *(f"/{name}{end}" for name in techniques for end in ("", "/idle")))
-    ]
-    cascades = [f"cascade:{of}/{doubt}" for of in grid for doubt in (0.3, 0.5, 0.7, 0.9)]
-    return [*fixed, *random, *(f"{each}/idle" for each in random), *periodic, *cascades]
 
 
 def learn(folder: Path, iterations: int, seed: int) -> None:
@@ -81,28 +63,6 @@ def learn(folder: Path, iterations: int, seed: int) -> None:
     iterate_policy(folder, config, resume=(folder / CHECKPOINT).exists())
 
 
-def study_tours(banks: Sequence[ScoreBank], run_folder: Path, out: Path) -> study.Findings:
-    """The selectors against every rival on the tours, those that draw `DRAWS` times."""
-    lineup = Lineup(
-        policies=tuple(rivals(banks[0].techniques)),
-        selectors={"trained here": (f"ppo:{run_folder}",), "ships": ("ppo",)},
-        all_subsets=True,
-        insisted={},
-        compute_weights=COMPUTE_WEIGHTS,
-    )
-    plan = study.make_plan(
-        banks,
-        lambda bank: lineup.entrants(bank.techniques),
-        seeds=range(DRAWS),
-        conditions=("recorded",),
-    )
-    say(f"studying {len(plan.cells)} drives: rules of every kind, {DRAWS} draws each")
-    findings = study.find(plan, study.run(plan, out, report=lambda _: None))
-    findings.write(out)
-    write_markdown(findings, out)
-    return findings
-
-
 def main() -> None:
     """Parse, render, extract, train, compare, tell."""
     parser = Parser(description=(__doc__ or "").splitlines()[0])
@@ -112,7 +72,7 @@ def main() -> None:
         "--costs",
         choices=COST_MODELS,
         default="paper",
-        help="the paper's are the same on every machine, 'runs' fit any techniques (default: paper)",
+        help="paper: the same on every machine; runs: for any techniques (default: paper)",
     )
     parser.add_argument("--iterations", type=int, default=ITERATIONS, help="of the training")
     parser.add_argument("--seed", type=int, default=0, help="of the training")
@@ -139,7 +99,9 @@ def main() -> None:
             out,
             report=lambda _: None,
         )
-        findings = study_tours(banks, run_folder, out / "study")
+        say("studying it: rules of every kind at no more compute")
+        selectors = {"trained here": [trained], "ships": ["ppo"]}
+        findings = study_rivals(banks, selectors, out / "study")
     say("driving live along the first tour")
     moment = drive(out, load_selector(run_folder), tours[0], banks[0])
 

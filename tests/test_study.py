@@ -864,6 +864,7 @@ def test_command_runs_prints_and_resumes(run, tmp_path, folders, trained):  # no
     assert stored["settings"]["rivals"] == ["imitation"]
     assert {row["rival"] for row in stored["margins"]} == {
         "fixed subsets",
+        "random",
         "imitation",
         EVERYONE,
     }

@@ -189,7 +189,10 @@ def _draw_family(axes: Axes, rows: Sequence[Row], family: str) -> None:
         [*xs, max(1.0, xs[-1])],
         [*ys, ys[-1]],
         where="post",
-        **{"color": colour, "linewidth": 1.2, "linestyle": dashes, "zorder": 3},
+        color=colour,
+        linewidth=1.2,
+        linestyle=dashes,
+        zorder=3,
     )
     axes.plot(xs, ys, marker, color=colour, markersize=4.5, label=f"best {SHOWN_AS[family]}")
 
