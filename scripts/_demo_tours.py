@@ -18,6 +18,7 @@ TECHNIQUES = ("hog", "calc", "netvlad", "cohog")
 TOLERANCE = 1
 PLACES = 100
 SEEDS = (1, 2, 3)
+EXECUTOR = "process:2"
 SHOWN = 20
 """Frames into a spell: the image of it that the contact sheet shows."""
 
@@ -68,7 +69,7 @@ def banks_of(tours: list[Tour], out: Path, say: Callable[[str], None]) -> list[S
                 ground_truth=tour.ground_truth(TOLERANCE),
                 source=tour.source,
                 cache=cache,
-                executor="process:2",
+                executor=EXECUTOR,
                 name=name,
                 out=out / "banks" / name,
             )
