@@ -105,9 +105,9 @@ def test_demo_from_worlds_to_page(scripts, monkeypatch, tmp_path, capsys):
     import _rivals
     import demo
 
-    small = partial(TrainingConfig, n_envs=8, pool=2, held_out=1)
-    tiny = partial(RolloutConfig, horizon=4, hold=2, every=1, epochs=1)
-    monkeypatch.setattr(demo, "TrainingConfig", lambda **given: small(**{**given, "threads": 1}))
+    small = {"n_envs": 8, "pool": 2, "held_out": 1, "threads": 1}
+    tiny = partial(RolloutConfig, horizon=4, hold=2, every=1)
+    monkeypatch.setattr(demo, "TrainingConfig", lambda **given: TrainingConfig(**given | small))
     monkeypatch.setattr(demo, "RolloutConfig", tiny)
     monkeypatch.setattr(demo, "STATES", 8)
     monkeypatch.setattr(_rivals, "DRAWS", 2)
