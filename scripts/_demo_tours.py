@@ -32,8 +32,8 @@ class World(NamedTuple):
 
 
 WORLDS = (
-    World("street", 4_000, "fog+shift"),
-    World("rail", 4_001, "shift"),
+    World("street", 4_000, "shift"),
+    World("rail", 4_001, "night+shift"),
     World("corridor", 4_002, "shift+crowd"),
 )
 
