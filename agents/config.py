@@ -36,7 +36,7 @@ WARM_START: dict[str, Any] = {"entropy": 0.001, "learning_rate": 4e-4, "frozen_u
 
 DEFAULTS: dict[str, dict[str, Any]] = {
     "imitation+ppo": WARM_START,
-    "dqn": {"batch_size": 256},
+    "rollouts": {"n_envs": 48, "pool": 512, "compute_weights": (0.02, 4.0), "held_out": 64},
 }
 """Where an algorithm's defaults are not those of PPO from scratch."""
 
@@ -87,7 +87,8 @@ class RolloutConfig:
         discount: of later frames in it.
         every: frames of a drive between two states.
         share: of the spells of a drive that the policy so far drives.
-        epochs: passes over all states in each iteration.
+        epochs: passes over all states in each iteration ...
+        last_epochs: ... and in the last one.
         batch_size: states per gradient step.
         learning_rate: at the start of each iteration; falls linearly to zero in it.
 
@@ -95,22 +96,32 @@ class RolloutConfig:
         ValueError: for a number out of range.
     """
 
-    iterations: int = 6
-    states: int = 8_000
-    kept: int = 3
+    iterations: int = 10
+    states: int = 10_000
+    kept: int = 4
     subsets: int = 8
     hold: int = 8
     horizon: int = 80
     discount: float = 0.985
     every: int = 12
     share: float = 0.7
-    epochs: int = 12
+    epochs: int = 8
+    last_epochs: int = 30
     batch_size: int = 256
     learning_rate: float = 2e-3
 
     def __post_init__(self) -> None:
         """Refuse what nothing can be learned from."""
-        for name in ("iterations", "states", "kept", "hold", "horizon", "every", "epochs"):
+        for name in (
+            "iterations",
+            "states",
+            "kept",
+            "hold",
+            "horizon",
+            "every",
+            "epochs",
+            "last_epochs",
+        ):
             _whole(name, getattr(self, name), 1)
         _whole("batch_size", self.batch_size, 2)
         _whole("subsets", self.subsets, 4)
@@ -128,10 +139,11 @@ class TrainingConfig:
         timesteps: frames in all, over all routes; imitation counts its own.
         seed: of routes, weights and draws.
         n_envs: routes side by side.
-        threads: that step them; what is learned does not depend on it.
+        threads: that step them, with rollouts processes; what is learned does not depend on it.
         statistic: SIC's statistic.
         carry: whether places are carried on as candidates; None: as the statistic has it.
         discount: whether MuSIC discounts alike rows; None: as the statistic has it.
+        allow_idle: whether the selector may run nothing on a frame; by policy iteration only.
         reward: name in `amusic_gym.rewards.REWARDS`; ``"ground_truth"`` learns from what is true on
             the training routes instead of from p̂, which a selector may learn to please.
         compute_weights: range from which every episode draws λ, on a logarithmic scale.
@@ -165,6 +177,7 @@ class TrainingConfig:
     statistic: str = SICSettings.statistic
     carry: bool | None = SICSettings.carry
     discount: bool | None = SICSettings.discount
+    allow_idle: bool = False
     reward: str = "estimated"
     compute_weights: tuple[float, float] = (0.01, 6.0)
     simulation: dict[str, Any] = field(default_factory=dict)
@@ -198,17 +211,23 @@ class TrainingConfig:
             raise ValueError(f"seed is {self.seed!r}; give a whole number from 0 to {HIGHEST_SEED}")
         if self.rollout < 2:
             raise ValueError("n_steps * n_envs is 1; raise one of them: an update needs 2 frames")
+        if self.allow_idle and self.algorithm != "rollouts":
+            raise ValueError(
+                f"algorithm {self.algorithm!r} learns no selector that may idle; leave out"
+                " allow_idle, or take 'rollouts'"
+            )
         self.environment()
         self.population()
 
     def environment(self) -> dict[str, bool]:
-        """How SIC works besides its statistic: arguments of the environment, none left open.
+        """How SIC works besides its statistic, and idling: arguments of the environment.
 
         Raises:
             ValueError: for an unknown statistic, or what it has no use for.
         """
         settings = SICSettings(self.statistic, carry=self.carry, discount=self.discount)
-        return {name: bool(getattr(settings, name)) for name in ("carry", "discount")}
+        idle = {"allow_idle": True} if self.allow_idle else {}
+        return {name: bool(getattr(settings, name)) for name in ("carry", "discount")} | idle
 
     def population(self) -> Simulation:
         """The ranges that training routes are drawn from.

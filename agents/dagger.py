@@ -18,8 +18,7 @@ from agents.config import TrainingConfig
 from agents.evaluation import Evaluation, HeldOut
 from agents.keeper import Records
 from agents.learners.common import make_env
-from agents.learners.sets import presence
-from agents.network import SelectorNetwork
+from agents.network import SelectorNetwork, presence
 from agents.run_folder import CHECKPOINT, check_layers, read_tensors, write_tensors
 from agents.selector import TrainedSelector
 from amusic_gym.observation import observation_size

@@ -32,10 +32,10 @@ from agents.config import RolloutConfig, TrainingConfig, stored_banks, stored_co
 from agents.evaluation import Evaluation, HeldOut
 from agents.keeper import Records
 from agents.learners.common import make_env
-from agents.learners.sets import SetSizes
-from agents.learners.subsets import SubsetNetwork, SubsetSelector
+from agents.network import SetSizes
 from agents.run_folder import CHECKPOINT, check_layers, read_tensors, write_tensors
 from agents.selector import load_selector
+from agents.subsets import MOST_SLOTS, SubsetNetwork, SubsetSelector
 from agents.training import bank_folders, refuse_used, training_source
 from amusic_gym.policy import Selector
 from amusic_gym.sources import BankLike, RouteSource
@@ -123,6 +123,11 @@ class PolicyIteration:
     def __init__(self, out: Path, config: TrainingConfig, source: RouteSource) -> None:
         self.out = out
         self.config = config
+        if source.slots > MOST_SLOTS:
+            raise ValueError(
+                f"routes of {source.slots} techniques have too many subsets to try; give routes of"
+                f" at most {MOST_SLOTS}, or take --algorithm ppo"
+            )
         self.settings: RolloutConfig = config.rollouts
         self.source = source
         self.records = Records(out, config, [], "subsets", SetSizes())
@@ -144,11 +149,16 @@ class PolicyIteration:
 
     def _iterate(self, collectors: Collectors, bar: tqdm) -> None:
         rng = np.random.default_rng([self.config.seed, self.done])
+        if self.done == 1:  # without a policy a subset runs to the end, which is another value
+            self.seen.clear()
         self.seen = [*self.seen, collectors.collect(self.policy, rng, bar)]
         self.seen = self.seen[-self.settings.kept :]
         torch.manual_seed(int(rng.integers(2**31)))
         network = SubsetNetwork(SetSizes())
-        loss = learn(network, self.seen, self.settings, rng)
+        settings, last = self.settings, self.done + 1 == self.settings.iterations
+        if last:
+            settings = replace(settings, epochs=settings.last_epochs)
+        loss = learn(network, self.seen, settings, rng)
         self.policy = SubsetSelector(network, self.config.statistic, self.config.environment())
         self.done += 1
         result = self.held_out.evaluate(self.policy, self.done * self.settings.states)
@@ -187,11 +197,13 @@ class PolicyIteration:
         self.policy = SubsetSelector(network, self.config.statistic, self.config.environment())
         try:
             self.done = int(metadata["done"])
-            kept = min(self.done, self.settings.kept)
+            kept = min(max(1, self.done - 1), self.settings.kept)
             self.seen = [
                 Samples(*(tensors[f"seen.{i}.{name}"].numpy() for name in Samples._fields))
                 for i in range(kept)
             ]
+            if any(len({len(array) for array in samples}) > 1 for samples in self.seen):
+                raise ValueError("states of different number")
             rows = json.loads(metadata["evaluations"])
             self.records.evaluations = [Evaluation(*row) for row in rows]
         except (KeyError, TypeError, ValueError) as error:
@@ -212,6 +224,7 @@ class Behaviour:
         policy: the policy so far; None: subsets only.
         share: of the spells that the policy drives.
         rng: of all that is drawn.
+        idle: whether a subset may be empty.
     """
 
     def __init__(
@@ -221,7 +234,9 @@ class Behaviour:
         policy: SubsetSelector | None,
         share: float,
         rng: np.random.Generator,
+        idle: bool = False,
     ) -> None:
+        self.sizes = (1, 1, 1, 2, 2, 3, MOST_SLOTS, *([0] if idle else []))
         self.policy = policy
         self.share = share if policy is not None else 0.0
         self.rng = rng
@@ -236,7 +251,7 @@ class Behaviour:
         for i in np.flatnonzero(self.left <= 0):
             self.left[i] = self.rng.integers(*SPELL)
             self.own[i] = self.rng.random() < self.share
-            self.subset[i] = draw_subset(present[i], (1, 1, 1, 2, 2, 3, 99), self.rng)
+            self.subset[i] = draw_subset(present[i], self.sizes, self.rng)
         self.left -= 1
         if self.policy is None:
             return self.subset.copy()
@@ -255,12 +270,21 @@ def draw_subset(
 
 
 def draw_subsets(
-    action: NDArray[np.bool_], present: NDArray[np.bool_], count: int, rng: np.random.Generator
+    action: NDArray[np.bool_],
+    present: NDArray[np.bool_],
+    count: int,
+    rng: np.random.Generator,
+    idle: bool = False,
 ) -> NDArray[np.bool_]:
-    """(B, S) subsets to try in a state: the policy's, single techniques, all, and others."""
+    """(B, S) subsets to try in a state: the policy's, single techniques, all, and others.
+
+    The last one is empty if ``idle``.
+    """
     singles = rng.permutation(np.flatnonzero(present))[: count - 3]
     rest = count - 2 - singles.size
-    others = [draw_subset(present, (2, 2, 2, 3, 99), rng) for _ in range(rest)]
+    others = [draw_subset(present, (2, 2, 2, 3, MOST_SLOTS), rng) for _ in range(rest)]
+    if idle:
+        others[-1] = np.zeros(present.size, np.bool_)
     return np.array([action, *np.eye(present.size, dtype=np.bool_)[singles], present, *others])
 
 
@@ -309,7 +333,7 @@ class Collectors:
         run: Any = map if self._pool is None else self._pool.map
         for samples in run(_collect_part, seeds, repeat(weights)):
             parts.append(samples)
-            bar.update(PART)
+            bar.update(min(PART, self.settings.states))
         return Samples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
@@ -325,7 +349,7 @@ def _begin(config: TrainingConfig, source: RouteSource) -> None:
 
 
 def _collect_part(seed: int, weights: dict[str, NDArray[np.float32]] | None) -> Samples:
-    """Collect ``PART`` states or a few more, in any process that is ready."""
+    """Collect ``PART`` states, or all where there are fewer, in any process that is ready."""
     config: TrainingConfig = _worker["config"]
     policy = None
     if weights is not None:
@@ -351,9 +375,10 @@ def collect(
     """
     slots = env.task.slots
     observation, info = env.reset(seed=int(rng.integers(2**31)))
-    drives = Behaviour(env.num_envs, slots, policy, settings.share, rng)
+    idle = env.task.episodes.rules.allow_idle
+    drives = Behaviour(env.num_envs, slots, policy, settings.share, rng, idle)
     parts: list[Samples] = []
-    steps = -(-PART // env.num_envs) * settings.every
+    steps = -(-min(PART, settings.states) // env.num_envs) * settings.every
     for step in range(steps):
         actions = drives.act(observation, info["present"])
         observation, _, terminated, truncated, info = env.step(actions)
@@ -363,7 +388,7 @@ def collect(
         own = drives.subset if policy is None else policy.act(observation, {})
         subsets = np.stack(
             [
-                draw_subsets(action, present, settings.subsets, rng)
+                draw_subsets(action, present, settings.subsets, rng, idle)
                 for action, present in zip(own, info["present"], strict=True)
             ]
         )  # (N, B, S)
@@ -388,29 +413,30 @@ def roll_out(
         settings: frames and discount.
 
     Returns:
-        (N, B) discounted means per frame of the reward without compute, and of the compute.
+        (N, B) discounted means per frame of the horizon of the reward without compute, and of the
+        compute; both are 0 after a route's end.
     """
     routes, count, slots = subsets.shape
     copies = task.repeated(count)
     first = subsets.reshape(-1, slots)
     active = np.ones(len(first), np.bool_)
     sums = np.zeros((2, len(first)))
-    actions, weight, weights = first, 1.0, 0.0
+    actions = first
+    weights = np.cumprod([1.0, *[settings.discount] * (settings.horizon - 1)])
     observation: NDArray[np.float32] | None = None
-    for frame in range(settings.horizon):
+    for frame, weight in enumerate(weights):
         since = frame - settings.hold
         if policy is not None and observation is not None and since >= 0 and since % PACE == 0:
             actions = policy.act(observation, {})
         out, _, terms = copies.step(actions, active)
         rewards = sum((v for k, v in terms.items() if k != "compute"), np.zeros(len(first)))
         sums += weight * np.where(active, [rewards, out.routes["compute"]], 0.0)
-        weights += weight
-        weight *= settings.discount
         active &= ~copies.ends(out)[0]
         observation = out.observation
         if not active.any():
             break
-    correctness, compute = (sums / weights).astype(np.float32).reshape(2, routes, count)
+    means = (sums / weights.cumsum()[-1]).astype(np.float32)
+    correctness, compute = means.reshape(2, routes, count)
     return correctness, compute
 
 

@@ -39,7 +39,7 @@ CHECKPOINT = "checkpoint.safetensors"
 EVALUATIONS = "evaluation.csv"
 FIRST_KIND = next(iter(KINDS))
 
-ENVIRONMENT = ("candidates", "history", "gamma", "carry", "discount")
+ENVIRONMENT = ("candidates", "history", "gamma", "carry", "discount", "allow_idle")
 """Arguments of the environment that a run may set besides the statistic."""
 
 Tensors = dict[str, torch.Tensor]

@@ -12,8 +12,7 @@ from torch import nn
 from agents.config import TrainingConfig
 from agents.learners import learner
 from agents.learners.ppo import network
-from agents.learners.sets import PRESENT
-from agents.network import WIDTH, SelectorNetwork
+from agents.network import PRESENT, WIDTH, SelectorNetwork
 from agents.run_folder import SELECTOR, check_layers, read_config, read_selector
 from amusic_gym.observation import observation_size
 from amusic_gym.settings import SICSettings

@@ -1,8 +1,8 @@
 """Train a selector on simulated routes or given banks.
 
-ALGORITHM: ppo (default), imitation (of a cascade chosen on simulated routes), imitation+ppo, dqn
-(the value of every subset), maskable (MaskablePPO over subsets), recurrent (RecurrentPPO),
-reselect (PPO on when to select again).
+ALGORITHM: ppo (default), imitation (of a cascade chosen on simulated routes), imitation+ppo,
+rollouts (tries subsets of techniques from many states and learns what each leads to), reselect
+(PPO on when to select again).
 """
 
 from __future__ import annotations
@@ -33,6 +33,12 @@ LEARNING = {
     "learning_rate": "at the start; falls linearly to zero",
 }
 """Options that decide how fast, and how well, an algorithm learns from its frames."""
+
+ROLLOUTS = {
+    "iterations": "of rollouts: each collects and learns",
+    "states": "from which each iteration tries subsets of techniques",
+}
+"""Options of the algorithm ``rollouts``."""
 
 
 def option(name: str) -> str:
@@ -83,11 +89,18 @@ def _parser() -> Parser:
     add("--bank", action="append", default=[], help="train on this bank (repeat)")
     add("--timesteps", type=int, help=f"frames in all (default: {defaults.timesteps})")
     add("--seed", type=int, help=f"of routes, weights and draws (default: {defaults.seed})")
-    add("--n-envs", type=int, help=f"routes side by side (default: {defaults.n_envs})")
-    add("--threads", type=int, help="that step the routes: sooner, the same result (default: 1)")
+    add("--n-envs", type=int, help=f"routes side by side (default of ppo: {defaults.n_envs})")
+    add(
+        "--threads",
+        type=int,
+        help="that step the routes, with rollouts processes: sooner, the same result (default: 1)",
+    )
     for name, of in LEARNING.items():
         kind, default = type(getattr(defaults, name)), getattr(defaults, name)
         add(option(name), type=kind, help=f"{of} (default of ppo: {default})")
+    for name, of in ROLLOUTS.items():
+        default = getattr(defaults.rollouts, name)
+        add(option(name), type=int, help=f"{of} (default: {default})")
     add("--statistic", help=f"of SIC (default: {defaults.statistic})")
     add_correction(parser, "in training and ever after")
     add("--reward", help=f"estimated or ground_truth (default: {defaults.reward})")
@@ -97,6 +110,12 @@ def _parser() -> Parser:
         metavar="NAME=VALUE",
         help="draw training routes from other ranges, for example retimed=0 wander=0:0 "
         "(names: amusic_gym.routes.simulate.Simulation)",
+    )
+    add(
+        "--allow-idle",
+        action="store_const",
+        const=True,
+        help="with rollouts: the selector may run nothing on a frame",
     )
     add("--warm-start", type=Path, metavar="RUN", help="let ppo begin from this run's selector")
     add(
@@ -111,7 +130,9 @@ def _config(given: argparse.Namespace) -> TrainingConfig:
     """The defaults, or the configuration of the run to resume, with what was given."""
     from agents.config import WARM_START, training_config
 
-    given_names = "algorithm timesteps seed n_envs threads statistic carry discount reward"
+    given_names = (
+        "algorithm timesteps seed n_envs threads statistic carry discount allow_idle reward"
+    )
     names = [*given_names.split(), *LEARNING]
     chosen = {name: getattr(given, name) for name in names if getattr(given, name) is not None}
     if given.simulation:
@@ -122,15 +143,23 @@ def _config(given: argparse.Namespace) -> TrainingConfig:
             "--warm-start begins a training with ppo; leave it out to resume, or with another"
             " algorithm"
         )
+    tried = {name: getattr(given, name) for name in ROLLOUTS if getattr(given, name) is not None}
     if not given.resume:
-        defaults = WARM_START if given.warm_start else {}
-        return training_config(**{"algorithm": algorithm, **defaults, **chosen})
-    base = _stored(given.out)
-    for name in chosen.keys() - {"timesteps", "threads"}:
-        if chosen[name] != getattr(base, name):
+        if tried and algorithm != "rollouts":
             raise ValueError(
-                f"{name} is {chosen[name]}, but {given.out} was trained with"
-                f" {getattr(base, name)}; leave it out to resume, or give another folder"
+                f"{option(next(iter(tried)))} is of the algorithm rollouts; leave it out, or give"
+                " --algorithm rollouts"
+            )
+        defaults = WARM_START if given.warm_start else {}
+        config = training_config(**{"algorithm": algorithm, **defaults, **chosen})
+        return replace(config, rollouts=replace(config.rollouts, **tried)) if tried else config
+    base = _stored(given.out)
+    own = {**vars(base.rollouts), **vars(base)}
+    for name, value in {**chosen, **tried}.items():
+        if name not in ("timesteps", "threads") and value != own[name]:
+            raise ValueError(
+                f"{name} is {value}, but {given.out} was trained with"
+                f" {own[name]}; leave it out to resume, or give another folder"
             )
     return replace(base, **chosen)
 

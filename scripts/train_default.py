@@ -1,9 +1,10 @@
 """Train a selector that ships, from its seed, and say whether it came out as it ships.
 
-A cascade is chosen for every part of the range of λ, imitated, and the imitation goes on learning
-with PPO; all of it on simulated routes, by their ground truth. The run folder is ``--out``;
-``--ship`` puts its selector into the statistic's folder in ``agents/pretrained``, unless the one
-that is there does better. A run that was stopped goes on where it was.
+For ``evidence`` by policy iteration with rollouts. For ``belief`` a cascade is chosen for every
+part of the range of λ, imitated, and the imitation goes on learning with PPO. All of it on
+simulated routes, by their ground truth. The run folder is ``--out``; ``--ship`` puts its selector
+into the statistic's folder in ``agents/pretrained``, unless the one that is there does better. A
+run that was stopped goes on where it was.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
     from agents.config import TrainingConfig
 
-ALGORITHM = {"evidence": "imitation+ppo", "belief": "imitation+ppo"}
+ALGORITHM = {"evidence": "rollouts", "belief": "imitation+ppo"}
 """Statistic → how what ships for it was trained."""
 
 TIMESTEPS = 2_000_000
@@ -39,7 +40,7 @@ def learn(
     routes: int | None = None,
     grid: Sequence[Parameters] | None = None,
 ) -> None:
-    """Choose the teacher, imitate it and train on with PPO, from where the folder is.
+    """Train as the configuration's algorithm does, from where the folder is.
 
     Args:
         out: the run folder; nothing is done if its training is finished.
@@ -50,8 +51,12 @@ def learn(
     from _train_teacher import GRID, ROUTES, make_teacher
 
     from agents.imitation import IMITATION, imitate_then_train
+    from agents.policy_iteration import iterate_policy
     from agents.run_folder import CONFIG
 
+    if config.algorithm == "rollouts":
+        iterate_policy(out, config, resume=(out / CONFIG).exists())
+        return
     if _finished(out, config.timesteps):
         return
     begun = any((out / part / CONFIG).exists() for part in (".", IMITATION))
@@ -133,8 +138,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser = Parser(description=(__doc__ or "").splitlines()[0])
     add = parser.add_argument
     add("--out", type=Path, required=True, help="run folder")
-    add("--timesteps", type=int, default=TIMESTEPS, help=f"of PPO ({TIMESTEPS})")
+    add("--timesteps", type=int, default=TIMESTEPS, help=f"of PPO, for belief ({TIMESTEPS})")
     add("--seed", type=int, default=SEED, help=f"({SEED})")
+    add("--threads", type=int, default=2, help="that drive; the result is the same (%(default)s)")
     add(
         "--statistic",
         choices=SHIPPED,
@@ -153,6 +159,7 @@ def main(arguments: list[str] | None = None) -> None:
         seed=given.seed,
         statistic=given.statistic,
         reward=REWARD,
+        threads=given.threads,
     )
     learn(given.out, config)
     words = f"the selector that ships for {given.statistic!r}"

@@ -16,6 +16,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from safetensors.torch import load_file
+
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 SMALL: dict[str, Any] = {
     "n_envs": 4,
@@ -26,6 +28,27 @@ SMALL: dict[str, Any] = {
     "pool": 2,
 }
 """32 frames an update; an evaluation before every third."""
+
+
+def stop_at(monkeypatch: Any, owner: Any, name: str, call: int) -> None:
+    """Ctrl-C at the given call of ``owner.name``."""
+    original, calls = getattr(owner, name), [0]
+
+    def counting(*arguments: Any, **keywords: Any) -> Any:
+        calls[0] += 1
+        if calls[0] == call:
+            raise KeyboardInterrupt
+        return original(*arguments, **keywords)
+
+    monkeypatch.setattr(owner, name, counting)
+
+
+def contents(run: Path) -> dict[str, bytes]:
+    """What a run folder says; of a checkpoint the tensors, for its metadata have no order."""
+    files = {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()}
+    del files["checkpoint.safetensors"]
+    tensors = load_file(run / "checkpoint.safetensors")
+    return files | {name: tensor.numpy().tobytes() for name, tensor in tensors.items()}
 
 
 def train_script(*arguments: object, code: str = "") -> subprocess.CompletedProcess[str]:

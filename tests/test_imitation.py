@@ -12,7 +12,7 @@ import pytest
 import torch
 from env_cases import random_bank
 from safetensors.torch import load_file
-from small_training import SCRIPTS, SMALL
+from small_training import SCRIPTS, SMALL, contents, stop_at
 
 from agents import dagger as dagger_module
 from agents.config import (
@@ -25,8 +25,7 @@ from agents.config import (
 from agents.dagger import DAgger, cross_entropy
 from agents.evaluation import Evaluation, HeldOut
 from agents.imitation import IMITATION, imitate, imitate_then_train
-from agents.learners.sets import PRESENT
-from agents.network import ROUTE_WIDTH, WIDTH, NetworkConfig, SelectorNetwork
+from agents.network import PRESENT, ROUTE_WIDTH, WIDTH, NetworkConfig, SelectorNetwork
 from agents.run_folder import CHECKPOINT, CONFIG, EVALUATIONS, SELECTOR, read_tensors
 from agents.selector import TrainedSelector, load_selector
 from agents.teachers import ByWeight, agreement, by_weight, partition
@@ -81,13 +80,6 @@ def cautious(weight: float) -> Cascade:
 
 def teacher() -> ByWeight:
     return by_weight(cautious, WEIGHTS, parts=2)
-
-
-def contents(run: Path) -> dict[str, bytes]:
-    """What a run folder says; of a checkpoint the tensors, for its metadata have no order."""
-    files = {p.name: p.read_bytes() for p in run.iterdir() if p.is_file() and p.name != CHECKPOINT}
-    tensors = load_file(run / CHECKPOINT)
-    return files | {name: tensor.numpy().tobytes() for name, tensor in tensors.items()}
 
 
 # ---- a teacher for every λ -----------------------------------------------------------------
@@ -275,19 +267,6 @@ def test_the_run_folder_tells_how_it_went(whole):
     assert trace.ran.shape == (40, 5)
 
 
-def stop_at(monkeypatch, owner, name: str, call: int) -> None:
-    """Ctrl-C at the given call of ``owner.name``."""
-    original, calls = getattr(owner, name), []
-
-    def counting(*arguments, **keywords):
-        calls.append(name)
-        if len(calls) == call:
-            raise KeyboardInterrupt
-        return original(*arguments, **keywords)
-
-    monkeypatch.setattr(owner, name, counting)
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory, quick) -> Path:
     """An imitation that was not stopped, beside its banks."""
@@ -459,7 +438,7 @@ def test_the_actor_is_what_the_logits_depend_on():
 
 
 def test_warm_starts_that_do_not_fit_are_refused(tmp_path):
-    train(tmp_path / "dqn", small("dqn", timesteps=32), banks=banks(), progress=False)
+    train(tmp_path / "other", small("reselect", timesteps=32), banks=banks(), progress=False)
     mean = small("ppo", statistic="mean", timesteps=32)
     train(tmp_path / "mean", mean, banks=banks(), progress=False)
     plain = small("ppo", carry=False, timesteps=32)
@@ -467,8 +446,8 @@ def test_warm_starts_that_do_not_fit_are_refused(tmp_path):
     other = SelectorNetwork(NetworkConfig(hidden=8))
     new = tmp_path / "new"
     for algorithm, start, sentence in (
-        ("dqn", trained_network(), "'dqn' trains a selector of the kind 'subsets'; only ppo"),
-        ("ppo", tmp_path / "dqn", "holds a selector of the kind 'subsets'; give a run of ppo or"),
+        ("reselect", trained_network(), "trains a selector of the kind 'reselect'; only ppo takes"),
+        ("ppo", tmp_path / "other", "a selector of the kind 'reselect'; give a run of ppo or imit"),
         ("ppo", tmp_path / "mean", "statistic 'mean', this training uses"),
         ("ppo", tmp_path / "plain", "was trained with carry False, this training uses True"),
         ("ppo", other, r"layer 'critic.0.bias' is \(8,\) float32, the network needs \(64,\)"),
@@ -634,9 +613,9 @@ def test_the_command_imitates_and_goes_on_with_ppo(tmp_path, command, choosing, 
     assert stored_config(run).algorithm == "imitation+ppo"
     assert stored_config(run).frozen_updates > 0
     assert int(read_tensors(run / CHECKPOINT)[1]["timesteps"]) == 64
-    status, lines = command("--out", run, "--resume", "--algorithm", "dqn")
+    status, lines = command("--out", run, "--resume", "--algorithm", "rollouts")
     assert (status, len(lines)) == (2, 1)
-    assert "algorithm is dqn, but" in lines[0]
+    assert "algorithm is rollouts, but" in lines[0]
 
 
 def test_the_command_imitates_alone_and_warm_starts_from_it(tmp_path, command):
@@ -648,7 +627,7 @@ def test_the_command_imitates_alone_and_warm_starts_from_it(tmp_path, command):
     config = stored_config(second)
     assert (config.algorithm, config.warm_start) == ("ppo", str(first))
     assert config.entropy == training_config("imitation+ppo").entropy < TrainingConfig().entropy
-    for wrong in (("--resume",), ("--algorithm", "dqn")):
+    for wrong in (("--resume",), ("--algorithm", "rollouts")):
         status, lines = command("--out", second, "--warm-start", first, *wrong)
         assert (status, len(lines)) == (2, 1)
         assert "--warm-start begins a training with ppo; leave it out" in lines[0]

@@ -1,10 +1,9 @@
-"""The algorithms beside PPO: each learns, stores what it learned without pickle, and drives."""
+"""The registry of learners, the selector that rates subsets, and when to select again."""
 
 from __future__ import annotations
 
 import json
 import shutil
-import sys
 import zipfile
 from pathlib import Path
 
@@ -15,11 +14,10 @@ from env_cases import random_bank
 from safetensors.torch import load_file
 from small_training import SMALL
 
-from agents import learners
+from agents import learners, subsets
 from agents.config import TrainingConfig, training_config
 from agents.evaluation import HeldOut
-from agents.learners import ALGORITHMS, KINDS, subsets
-from agents.learners.memory import RecurrentNetwork, RecurrentSelector, RecurrentSizes
+from agents.learners import ALGORITHMS, KINDS
 from agents.learners.reselect import (
     FIRST_LOGIT,
     HeldSelection,
@@ -27,26 +25,22 @@ from agents.learners.reselect import (
     ReselectSelector,
     ReselectSizes,
 )
-from agents.learners.sets import SetSizes
-from agents.learners.subsets import SubsetNetwork, SubsetSelector, SubsetVecEnv
-from agents.network import ROUTE_WIDTH, WIDTH
+from agents.network import PRESENT, ROUTE_WIDTH, WIDTH, SetSizes
 from agents.run_folder import CHECKPOINT, SELECTOR, read_tensors
 from agents.selector import load_selector
+from agents.subsets import SubsetNetwork, SubsetSelector
 from agents.training import make_model, train
 from amusic_gym.bank import ScoreBank
 from amusic_gym.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
 from amusic_gym.rollout import Job, rollout, rollouts
 from amusic_gym.settings import BLOCK, SICSettings
 from amusic_gym.sources import Banks
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
-OTHERS = ("dqn", "maskable", "recurrent", "reselect")
-PRESENT = TECHNIQUE_FEATURES.index("present")
 STATISTIC = SICSettings.statistic
 
 
-def small(algorithm: str, **changes) -> TrainingConfig:
-    return training_config(algorithm, **{**SMALL, "timesteps": 96, **changes})
+def small(**changes) -> TrainingConfig:
+    return training_config("reselect", **{**SMALL, "timesteps": 96, **changes})
 
 
 class Quick(HeldOut):
@@ -70,12 +64,11 @@ def mixed_banks() -> list[ScoreBank]:
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory) -> dict[str, Path]:
-    """A small run of every algorithm, on ensembles of different size."""
-    folder = tmp_path_factory.mktemp("runs")
-    for algorithm in OTHERS:
-        train(folder / algorithm, small(algorithm), banks=mixed_banks(), progress=False)
-    return {algorithm: folder / algorithm for algorithm in OTHERS}
+def run(tmp_path_factory) -> Path:
+    """A small run on ensembles of different size."""
+    folder = tmp_path_factory.mktemp("run")
+    train(folder, small(), banks=mixed_banks(), progress=False)
+    return folder
 
 
 def observations(rng: np.random.Generator, batch: int, slots: int, absent: int = 0) -> torch.Tensor:
@@ -93,96 +86,57 @@ def permuted(observation: torch.Tensor, order: list[int]) -> torch.Tensor:
     return torch.cat([groups.flatten(1), observation[:, -ROUTE_WIDTH:]], dim=1)
 
 
-# ---- every algorithm -----------------------------------------------------------------------
+# ---- what is trained -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("algorithm", OTHERS)
-def test_a_run_folder_holds_the_trained_network_and_no_pickle(runs, algorithm):
-    run = runs[algorithm]
+def test_a_run_folder_holds_the_trained_network_and_no_pickle(run):
     for file in run.iterdir():
         assert file.suffix in (".json", ".safetensors", ".csv") or "tfevents" in file.name
         assert not zipfile.is_zipfile(file)
     config = json.loads((run / "config.json").read_text())
-    assert config["training"]["algorithm"] == algorithm
+    assert config["training"]["algorithm"] == "reselect"
     weights, metadata = read_tensors(run / SELECTOR)
     checkpoint, _ = read_tensors(run / CHECKPOINT)
-    assert json.loads(metadata["network"])["kind"] in KINDS
+    assert json.loads(metadata["network"])["kind"] == "reselect"
     for name, tensor in load_selector(run).network.state_dict().items():
         assert torch.equal(tensor, weights[name])
         assert sum(key.endswith(name) for key in checkpoint) >= 1
 
 
-@pytest.mark.parametrize("algorithm", OTHERS)
-def test_a_selector_drives_ensembles_of_any_size_in_any_company(runs, algorithm):
+def test_a_selector_drives_ensembles_of_any_size_in_any_company(run):
     """Alone or beside other routes, a route goes the same way."""
     jobs = [Job(bank, weight) for bank in mixed_banks() for weight in (0.1, 3.0)]
     jobs.append(Job(random_bank(9, techniques=6, queries=30), 0.5))
-    together = rollouts(load_selector(runs[algorithm]), jobs, name=algorithm)
+    together = rollouts(load_selector(run), jobs, name="x")
     for job, trace in zip(jobs, together, strict=True):
         assert trace.ran.any(axis=1).all()
         assert trace.statistic == STATISTIC
-        selector = load_selector(runs[algorithm])
+        selector = load_selector(run)
         alone = rollout(selector, job.bank, name="x", compute_weight=job.compute_weight)
         np.testing.assert_array_equal(alone.runs, trace.runs)
         np.testing.assert_array_equal(alone.predictions, trace.predictions)
 
 
-@pytest.mark.parametrize("algorithm", OTHERS)
-def test_a_run_is_resumed(runs, algorithm, tmp_path):
-    run = Path(shutil.copytree(runs[algorithm], tmp_path / "run"))
-    before = load_file(run / CHECKPOINT)
-    longer = small(algorithm, timesteps=160)
-    train(run, longer, banks=mixed_banks(), resume=True, progress=False)
-    after, metadata = read_tensors(run / CHECKPOINT)
+def test_a_run_is_resumed(run, tmp_path):
+    again = Path(shutil.copytree(run, tmp_path / "run"))
+    before = load_file(again / CHECKPOINT)
+    train(again, small(timesteps=160), banks=mixed_banks(), resume=True, progress=False)
+    after, metadata = read_tensors(again / CHECKPOINT)
     assert int(metadata["timesteps"]) == 160
     assert after.keys() == before.keys()
     assert any(not torch.equal(after[name], before[name]) for name in before)
 
 
-@pytest.mark.parametrize("algorithm", OTHERS)
-def test_the_same_seed_gives_the_same_weights(runs, algorithm, tmp_path):
-    train(tmp_path, small(algorithm), banks=mixed_banks(), progress=False)
-    first, second = load_file(runs[algorithm] / CHECKPOINT), load_file(tmp_path / CHECKPOINT)
+def test_the_same_seed_gives_the_same_weights(run, tmp_path):
+    train(tmp_path, small(), banks=mixed_banks(), progress=False)
+    first, second = load_file(run / CHECKPOINT), load_file(tmp_path / CHECKPOINT)
     assert [name for name in first if not torch.equal(first[name], second[name])] == []
-    assert (runs[algorithm] / SELECTOR).read_bytes() == (tmp_path / SELECTOR).read_bytes()
-
-
-def good_and_useless() -> ScoreBank:
-    """A dear technique that is always right, second, between two cheap ones that never are."""
-    scores = np.random.default_rng(0).normal(size=(3, 40, 60))
-    scores[1] = np.eye(40, 60) * 30.0
-    return ScoreBank(scores, ["A", "B", "C"], [1.0, 2.0, 1.0], tolerance=1)
-
-
-@pytest.mark.parametrize(
-    ("algorithm", "batch_size", "learning_rate"),
-    [("dqn", 128, 0.01), ("maskable", 256, 0.01), ("recurrent", 64, 0.01)],
-)
-def test_an_algorithm_finds_the_one_technique_that_is_worth_its_cost(
-    algorithm, batch_size, learning_rate, tmp_path
-):
-    bank, weight = good_and_useless(), 0.5
-    config = small(
-        algorithm,
-        timesteps=3_000,
-        n_envs=16,
-        n_steps=16,
-        batch_size=batch_size,
-        epochs=4,
-        learning_rate=learning_rate,
-        statistic="evidence",
-        compute_weights=(weight, weight),
-        evaluate_every=10**6,
-    )
-    selector = train(tmp_path, config, banks=[bank], progress=False)
-    ran = rollout(selector, bank, name=algorithm, compute_weight=weight).ran[5:]
-    assert ran[:, 1].mean() > 0.9
-    assert ran[:, [0, 2]].mean() < 0.2
+    assert (run / SELECTOR).read_bytes() == (tmp_path / SELECTOR).read_bytes()
 
 
 def test_unknown_algorithms_and_kinds_are_refused_with_the_nearest():
-    with pytest.raises(ValueError, match="algorithm 'maskabel'.*'maskable'"):
-        TrainingConfig(algorithm="maskabel")
+    with pytest.raises(ValueError, match="algorithm 'reselct'.*'reselect'"):
+        TrainingConfig(algorithm="reselct")
     with pytest.raises(ValueError, match="algorithm 'pqo'.*'ppo'"):
         learners.learner("pqo")
     with pytest.raises(ValueError, match="kind of selector 'subset'.*'subsets'"):
@@ -191,16 +145,6 @@ def test_unknown_algorithms_and_kinds_are_refused_with_the_nearest():
         ValueError, match="'imitation' does not learn step by step from rewards; call"
     ):
         learners.learner("imitation")
-
-
-@pytest.mark.parametrize("algorithm", ["maskable", "recurrent"])
-def test_a_missing_package_is_named_with_its_command(algorithm, runs, monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "sb3_contrib", None)
-    monkeypatch.delitem(sys.modules, ALGORITHMS[algorithm])
-    with pytest.raises(ValueError, match=r'needs sb3-contrib: pip install "amusic-gym\[contrib\]"'):
-        train(tmp_path / "new", small(algorithm), banks=mixed_banks(), progress=False)
-    assert not (tmp_path / "new").exists()
-    assert load_selector(runs[algorithm]).needs.statistic == STATISTIC  # driving does not need it
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
@@ -236,10 +180,17 @@ def test_subsets_with_absent_members_and_the_empty_one_are_not_valid():
     np.testing.assert_array_equal(subsets.valid(present).numpy(), wanted)
 
 
-def test_too_many_subsets_are_refused():
-    selector = SubsetSelector(SubsetNetwork(SetSizes()), STATISTIC)
-    with pytest.raises(ValueError, match="11 techniques have 2\\^11 subsets.*at most 10"):
-        rollout(selector, random_bank(1, techniques=11, queries=3), name="many")
+def test_of_many_techniques_subsets_of_at_most_two_are_rated():
+    rated = subsets.members(11).numpy()
+    assert not rated[0].any()
+    assert sorted(rated.sum(axis=1)) == [0, *[1] * 11, *[2] * 55]
+    assert len(np.unique(rated, axis=0)) == len(rated)
+    trace = rollout(
+        SubsetSelector(subset_network(), STATISTIC),
+        random_bank(1, techniques=11, queries=5),
+        name="many",
+    )
+    assert set(trace.ran.sum(axis=1)) <= {1, 2}
 
 
 def subset_network() -> SubsetNetwork:
@@ -281,117 +232,6 @@ def test_the_selector_runs_the_valid_subset_of_the_highest_rating():
         best = network(seen)[:, 1:4].argmax(1).numpy() + 1
     np.testing.assert_array_equal(runs, subsets.members(3).numpy()[best])
     assert len(set(best)) > 1
-
-
-def subset_env(routes: int = 6) -> SubsetVecEnv:
-    source = Banks(mixed_banks(), aligned=False)
-    env = TechniqueSelectionVectorEnv(routes, source, slots=4, autoreset_mode="SameStep")
-    env.reset(seed=0)
-    return SubsetVecEnv(env)
-
-
-def test_numbers_of_subsets_become_runs_and_masks_follow_the_ensemble():
-    env = subset_env()
-    env.reset()
-    assert env.action_space.n == 16
-    for step in range(40):
-        infos = env.env.task.episodes.state.slots["present"] > 0
-        masks = np.stack(env.env_method("action_masks"))
-        assert masks.shape == (6, 16)
-        np.testing.assert_array_equal(masks.sum(1), 2.0 ** infos.sum(1) - 1)
-        choices = np.array([np.flatnonzero(mask)[step % mask.sum()] for mask in masks])
-        env.step_async(choices)
-        done = env.step_wait()[2]
-        ran = env.env.task.episodes.state.slots["ran"] > 0
-        np.testing.assert_array_equal(ran[~done], subsets.members(4).numpy()[choices][~done])
-    assert env.has_attr("action_masks")
-    assert not env.has_attr("action_mask")
-
-
-def test_maskable_ppo_draws_valid_subsets_only():
-    model = make_model(small("maskable", n_envs=12, n_steps=8), Banks(mixed_banks(), aligned=False))
-    model.learn(96)
-    seen = torch.from_numpy(model.rollout_buffer.observations.reshape(96, -1))
-    present = seen[:, : 4 * WIDTH].unflatten(1, (4, WIDTH))[..., PRESENT] == 1.0
-    drawn = subsets.members(4)[torch.from_numpy(model.rollout_buffer.actions).long().flatten()]
-    assert {2, 3, 4} == set(present.sum(1).tolist())
-    assert drawn.any(1).all()
-    assert not (drawn & ~present).any()
-    assert len(drawn.unique(dim=0)) > 8
-
-
-# ---- memory --------------------------------------------------------------------------------
-
-
-def recurrent_network() -> RecurrentNetwork:
-    torch.manual_seed(2)
-    network = RecurrentNetwork(RecurrentSizes(hidden=16, encoding=8, memory=8))
-    sharpen(network)
-    return network
-
-
-@torch.no_grad()
-def sharpen(network: RecurrentNetwork) -> None:
-    """Make logits and memory differ from frame to frame, as they do after training."""
-    network.head[-1].weight.mul_(300.0)
-    network.head[-1].bias.zero_()
-    for weights in network.lstm.parameters():
-        weights.mul_(4.0)
-
-
-def test_the_memory_is_carried_per_route_and_forgotten_by_mask():
-    network = recurrent_network()
-    rng, routes = np.random.default_rng(0), 60
-    frames = torch.stack([observations(rng, routes, 2) for _ in range(8)])  # (L, N, D)
-    blank = torch.zeros(1, routes, 8)
-    with torch.no_grad():
-        whole = network.logits(frames, (blank, blank))[0].numpy() > 0.0
-        late = network.logits(frames[4:], (blank, blank))[0].numpy() > 0.0
-    selector = RecurrentSelector(network, STATISTIC)
-    selector.reset(np.ones(routes, np.bool_))
-    anew = np.arange(routes) % 2 == 1
-    acted = []
-    for step, seen in enumerate(frames):
-        if step == 4:
-            selector.reset(anew)
-        acted.append(selector.act(seen.numpy(), {}))
-    np.testing.assert_array_equal(np.stack(acted)[:, ~anew], whole[:, ~anew])
-    np.testing.assert_array_equal(np.stack(acted)[4:, anew], late[:, anew])
-    assert (late[0, anew] != whole[4, anew]).any()  # it does remember
-
-
-@torch.no_grad()
-def test_permuting_the_techniques_permutes_the_recurrent_logits():
-    network, blank = recurrent_network(), torch.zeros(1, 4, 8)
-    seen = observations(np.random.default_rng(0), 4, 3, absent=1)
-    logits, memory = network.logits(seen[None], (blank, blank))
-    moved, same = network.logits(permuted(seen, [2, 0, 1])[None], (blank, blank))
-    torch.testing.assert_close(moved, logits[:, :, [2, 0, 1]], rtol=1e-4, atol=1e-3)
-    torch.testing.assert_close(same, memory)
-    assert (logits[..., 2] < -10.0).all()  # the empty slot
-    assert logits[..., :2].std() > 0.1
-
-
-def test_the_recurrent_policy_and_the_selector_agree():
-    source = Banks([random_bank(1)])
-    model = make_model(small("recurrent"), source)
-    network = learners.learner("recurrent").network(model)
-    sharpen(network)
-    env, seen = model.env, model.env.reset()
-    with torch.no_grad():  # a last layer that tells these techniques apart
-        blank = torch.zeros(1, 4, network.hidden_size)
-        logits, _ = network.logits(torch.from_numpy(seen)[None], (blank, blank))
-        network.head[-1].bias.sub_(logits.mean())
-    selector = RecurrentSelector(network, STATISTIC)
-    state, begun = None, np.ones(4, np.bool_)
-    chosen = set()
-    for _ in range(50):  # a route has 40 frames
-        action, state = model.predict(seen, state, begun, deterministic=True)
-        selector.reset(begun)
-        np.testing.assert_array_equal(selector.act(seen, {}), action == 1)
-        chosen.update(map(tuple, action))
-        seen, _, begun, _ = env.step(action)
-    assert len(chosen) > 1
 
 
 # ---- when to select again ------------------------------------------------------------------
@@ -445,7 +285,7 @@ def test_the_learned_rate_is_kept(rate):
 
 def test_training_and_driving_hold_the_same_selection():
     """What the environment of the training runs is what the selector asks for."""
-    model = make_model(small("reselect"), Banks([random_bank(1), random_bank(2, queries=25)]))
+    model = make_model(small(), Banks([random_bank(1), random_bank(2, queries=25)]))
     selector = reselect_selector(0.0)
     env = model.env.env
     seen, info = env.reset(seed=0)

@@ -29,17 +29,13 @@ ALGORITHMS = {
     "imitation": "agents.imitation",
     "imitation+ppo": "agents.learners.ppo",  # after agents.imitation
     "rollouts": "agents.policy_iteration",
-    "dqn": "agents.learners.dqn",
-    "maskable": "agents.learners.maskable",
-    "recurrent": "agents.learners.recurrent",
     "reselect": "agents.learners.reselect",
 }
 """Name on the command line → module with its ``LEARNER``, imported when used."""
 
 KINDS = {
     "selector": "agents.selector",
-    "subsets": "agents.learners.subsets",
-    "recurrent": "agents.learners.memory",
+    "subsets": "agents.subsets",
     "reselect": "agents.learners.reselect",
 }
 """Name in the weights' file → module with its ``KIND``; without a name it is the first."""
@@ -64,7 +60,7 @@ class Kind:
 
 @dataclass(frozen=True)
 class Learner:
-    """An algorithm of Stable-Baselines3 or its contributions.
+    """An algorithm of Stable-Baselines3.
 
     Attributes:
         kind: name of the kind of network that it trains.
@@ -83,20 +79,11 @@ def learner(algorithm: str) -> Learner:
     """The learner of an algorithm.
 
     Raises:
-        ValueError: for an unknown one, one that does not learn from rewards, or one whose package
-            is not installed.
+        ValueError: for an unknown one, or one that does not learn step by step from rewards.
     """
     if algorithm not in ALGORITHMS:
         raise ValueError(suggest("algorithm", algorithm, ALGORITHMS))
-    try:
-        module = import_module(ALGORITHMS[algorithm])
-    except ModuleNotFoundError as error:
-        if error.name != "sb3_contrib":
-            raise
-        raise ValueError(
-            f'algorithm {algorithm!r} needs sb3-contrib: pip install "amusic-gym[contrib]"'
-        ) from error
-    found: Learner | None = getattr(module, "LEARNER", None)
+    found: Learner | None = getattr(import_module(ALGORITHMS[algorithm]), "LEARNER", None)
     if found is None:
         raise ValueError(
             f"algorithm {algorithm!r} does not learn step by step from rewards; call"

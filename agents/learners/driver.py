@@ -45,6 +45,7 @@ class NetworkSelector(ABC, Generic[Network]):
             carry=own.carry,
             discount=own.discount,
             reselection=reselection,
+            allow_idle=extra.pop("allow_idle", False),
             extra=extra,
         )
 

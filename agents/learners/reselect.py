@@ -27,8 +27,7 @@ from agents.config import TrainingConfig
 from agents.learners import Kind, Learner
 from agents.learners.common import make_env, ppo_arguments
 from agents.learners.driver import NetworkSelector
-from agents.learners.sets import SetEncoder, SetSizes
-from agents.network import build_around
+from agents.network import SetEncoder, SetSizes, build_around
 from amusic_gym.settings import BLOCK
 from amusic_gym.sources import RouteSource
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
