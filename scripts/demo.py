@@ -34,7 +34,9 @@ import _demo_tours as rendered  # isort: skip
 from _demo_drive import drive  # isort: skip
 
 REAL = ("HOG", "CALC", "CoHOG", "NetVLAD")
-ITERATIONS, STATES, EPOCHS = 3, 3_000, 6
+ITERATIONS = 3
+QUICK = {"states": 3_000, "epochs": 6, "last_epochs": 10}
+"""Of an iteration: less than the defaults, so that the training takes a minute or two."""
 PICTURED = ("amusic", "amusic:evidence", "music", "cascade", "random:0.3", "oracle", "ppo")
 """What every bank is compared on, besides the trained selector and all fixed subsets."""
 
@@ -62,7 +64,7 @@ def learn(folder: Path, iterations: int, seed: int) -> None:
         threads=2,
         reward="ground_truth",
         held_out=12,
-        rollouts=RolloutConfig(iterations=iterations, states=STATES, epochs=EPOCHS),
+        rollouts=RolloutConfig(iterations=iterations, **QUICK),
     )
     iterate_policy(folder, config, resume=(folder / CHECKPOINT).exists())
 
