@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from _bank_extract import Techniques, add_extraction, extract_bank
 from _cli import Parser
+
+if TYPE_CHECKING:
+    from amusic_gym.routes.folders import ImageFolder
+
+_PART = re.compile(r"([^:]+):([^:]+?)(?:@(\d+):(\d+):([1-9]\d*))?")
 
 
 def tour(args: argparse.Namespace) -> None:
@@ -54,8 +60,9 @@ def add_tour(commands: Any) -> Parser:
         nargs="+",
         action="extend",
         required=True,
-        metavar="REFERENCE:QUERY",
-        help="two folders with as many images each; frame q is at place q",
+        metavar="REFERENCE:QUERY[@FIRST:STOP:STEP]",
+        help="two folders with as many images each; frame q is at place q; of both, images FIRST, "
+        "FIRST + STEP, … before STOP, or all",
     )
     add(
         "--conditions",
@@ -74,11 +81,21 @@ def add_tour(commands: Any) -> Parser:
     return parser
 
 
-def _part(text: str) -> tuple[str, str]:
-    reference, _, query = text.partition(":")
-    if not reference or not query or ":" in query:
+def _part(text: str) -> tuple[ImageFolder, ImageFolder]:
+    """``REFERENCE:QUERY`` or ``REFERENCE:QUERY@FIRST:STOP:STEP``, cut as Python cuts a list."""
+    from amusic_gym.routes.folders import ImageFolder
+
+    found = _PART.fullmatch(text)
+    if found is None:
         raise ValueError(
-            f"--part {text!r} is not of the form REFERENCE:QUERY, two folders with one colon "
-            "between them"
+            f"--part {text!r} is not of the form REFERENCE:QUERY or "
+            "REFERENCE:QUERY@FIRST:STOP:STEP, two folders with one colon between them"
         )
-    return reference, query
+    reference, query, first, stop, step = found.groups()
+    if first is None:
+        return ImageFolder(reference), ImageFolder(query)
+    taken = range(int(first), int(stop), int(step))
+    if not taken:
+        raise ValueError(f"--part {text!r} takes no image; give a STOP above FIRST")
+    cut = {"first": taken.start, "step": taken.step, "count": len(taken)}
+    return ImageFolder(reference, **cut), ImageFolder(query, **cut)

@@ -1,13 +1,12 @@
-"""The demo's live drive: the trained selector on the images of a rendered route."""
+"""The demo's live drive: the trained selector on the images of a tour."""
 
 from __future__ import annotations
 
 from contextlib import ExitStack, closing
 from pathlib import Path
 
-import _demo_images as rendered
+import _demo_tours as rendered
 import cv2
-import numpy as np
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.extraction import Cache, describe_map
@@ -15,7 +14,7 @@ from amusic_gym.live import LiveRoute
 from amusic_gym.navigation import navigate
 from amusic_gym.pictures.sightings import Pictures
 from amusic_gym.policy import Selector
-from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.routes.tours import Tour
 from amusic_gym.routes.video import VideoWriter
 from amusic_gym.task import RENDER_FPS
 from amusic_gym.techniques import make_technique
@@ -25,36 +24,35 @@ SHOWN = 60
 """Frame of the drive that the page shows."""
 
 
-def drive(out: Path, selector: Selector, bank: ScoreBank) -> Path:
-    """Let the selector drive along the first rendered route, and film what it sees.
+def drive(out: Path, selector: Selector, tour: Tour, bank: ScoreBank) -> Path:
+    """Let the selector drive along a tour, and film what it sees.
 
     Args:
         out: the demo's folder.
         selector: the trained one.
-        bank: of the same images; gives the costs.
+        tour: the route.
+        bank: of the same images; gives the costs and what is true.
 
     Returns:
         The picture of one frame; beside it is the video, ``drive.mp4``.
     """
-    images = out / "images" / rendered.DRIVES[0].kind
-    places, frames = (
-        ImageFolder(images / "reference"),
-        ImageFolder(images / rendered.DRIVES[0].conditions[0]),
-    )
     with ExitStack() as stack:
         cache = stack.enter_context(Cache(out / "cache"))
         maps = [
-            stack.enter_context(closing(describe_map(places, make_technique(name), cache=cache)))
+            stack.enter_context(
+                closing(describe_map(tour.reference, make_technique(name), cache=cache))
+            )
             for name in rendered.TECHNIQUES
         ]
         route = LiveRoute(
             maps,
-            frames,
+            tour.query,
             tolerance=rendered.TOLERANCE,
             seconds=bank.seconds,
+            costs=bank.costs,
             name=bank.name,
-            places=places,
-            ground_truth=np.arange(len(frames)),
+            places=tour.reference,
+            ground_truth=bank.truth,
         )
         video = stack.enter_context(closing(VideoWriter(out / "drive.mp4", RENDER_FPS)))
         pictures = Pictures(route, f"{bank.name}, learned selector")

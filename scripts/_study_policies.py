@@ -11,6 +11,7 @@ from _contestants import contestants
 
 from amusic_gym.comparison import Contestant, all_subsets
 from amusic_gym.names import suggest
+from amusic_gym.plots.labels import is_idle
 from amusic_gym.policy import Context, Policy
 from amusic_gym.settings import STATISTICS
 from amusic_gym.study import Entrant
@@ -27,7 +28,8 @@ FAMILIES = {
     "random": kinds.RANDOM,
     "oracle": kinds.BOUND,
 }
-"""Kind of a policy → its family; others are learned if they have λ, and else peers."""
+"""Kind of a policy → its family, unless it may idle; others are learned if they have λ, and else
+peers."""
 
 DRAWING = ("random",)
 """Policies that draw."""
@@ -73,7 +75,7 @@ class Lineup:
         kind = plain.partition(":")[0]
         made = self._contestant(plain, statistic)
         other = kinds.PEER if made.compute_weights == (None,) else kinds.LEARNED
-        family = FAMILIES.get(kind, other)
+        family = kinds.IDLE if is_idle(plain) else FAMILIES.get(kind, other)
         return Entrant(
             name=spec,
             family=kinds.VARIANT if statistic else family,

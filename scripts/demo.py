@@ -1,7 +1,8 @@
 """The main job in one go: from images to a trained selector, a comparison and a page.
 
-It renders routes under several conditions, runs the techniques on them, trains a selector on
-simulated routes, and compares it on the rendered ones, which no training saw. With the variable
+It renders worlds, joins them into tours under changing conditions, runs the techniques on these,
+trains a selector on simulated routes by policy iteration, and compares it on the tours, which no
+training saw, with the selector that ships and with rules of every kind. With the variable
 AMUSIC_DATA the real Corridor recording is added, with --bank your own.
 """
 
@@ -10,36 +11,42 @@ from __future__ import annotations
 import os
 import time
 import warnings
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 
 from _cli import Parser, run
 from _contestants import contestants
+from _rivals import study_rivals
 
-from agents.config import TrainingConfig
-from agents.frozen import Frozen
+from agents.config import RolloutConfig, TrainingConfig
+from agents.policy_iteration import iterate_policy
 from agents.run_folder import CHECKPOINT
 from agents.selector import load_selector
-from agents.training import train
-from amusic_gym.bank import ScoreBank
-from amusic_gym.comparison import Comparison, all_subsets, compare, draw, table
+from amusic_gym.bank import COST_MODELS, ScoreBank
+from amusic_gym.comparison import all_subsets, compare, draw, table
 from amusic_gym.importers import from_recording
-from amusic_gym.metrics import mean_rows, summarise
-from amusic_gym.plots import front
+from amusic_gym.metrics import mean_rows
 from amusic_gym.report import ReportFigure, write_report
-from amusic_gym.rollout import rollout
-from amusic_gym.routes.simulate import planted
-from amusic_gym.settings import SICSettings
+from amusic_gym.study import figures
 
-import _demo_images as images  # isort: skip
 import _demo_story as story  # isort: skip
+import _demo_tours as rendered  # isort: skip
 from _demo_drive import drive  # isort: skip
 
-PLANTED_SEED = 3_100
-PLANTED = "planted"
 REAL = ("HOG", "CALC", "CoHOG", "NetVLAD")
-TIMESTEPS = 700_000
-POLICIES = ("amusic", "amusic:evidence", "music", "cascade", "random:0.3", "oracle")
+ITERATIONS = 3
+QUICK = {"states": 3_000, "epochs": 6, "last_epochs": 10}
+"""Of an iteration: less than the defaults, so that the training takes a minute or two."""
+PICTURED = ("amusic", "amusic:evidence", "music", "cascade", "random:0.3", "oracle", "ppo")
+"""What every bank is compared on, besides the trained selector and all fixed subsets."""
+
+PICTURED_WEIGHTS = (0.05, 0.3, 2.0)
+"""λ at which figures of single drives show the trained selector; more would not fit."""
+
+SELECTORS = {
+    "trained here": "On tours that no training saw, the selector trained here",
+    "ships": "The selector that ships",
+}
 
 _begun = time.monotonic()
 
@@ -49,31 +56,17 @@ def say(text: str) -> None:
     print(f"[{time.monotonic() - _begun:4.0f} s] {text}", flush=True)
 
 
-def others(given: list[Path]) -> list[ScoreBank]:
-    """The simulated route whose good technique changes, and recordings."""
-    changing = planted(PLANTED_SEED)
-    changing.name = PLANTED
-    banks = [changing]
-    if folder := os.environ.get("AMUSIC_DATA"):
-        banks.append(from_recording(Path(folder) / "corridor", REAL))
-    return [*banks, *(ScoreBank.load(bank) for bank in given)]
-
-
-def freeze(comparison: Comparison) -> str:
-    """Compare the selector on the planted route with itself when it no longer looks."""
-    rows = [row for row in comparison.rows if row["bank"] == PLANTED]
-    selector = story.best_within(rows, "ppo:", 0.5)
-    if selector is None:
-        return "On the planted route the selector always ran more than half of all techniques."
-    trace = next(
-        t
-        for t in comparison.traces
-        if (t.bank, t.policy, t.compute_weight)
-        == (PLANTED, selector["policy"], selector["compute_weight"])
+def learn(folder: Path, iterations: int, seed: int) -> None:
+    """Train on simulated routes, by their ground truth; a finished training stays as it is."""
+    config = TrainingConfig(
+        algorithm="rollouts",
+        seed=seed,
+        threads=2,
+        reward="ground_truth",
+        held_out=12,
+        rollouts=RolloutConfig(iterations=iterations, **QUICK),
     )
-    policy = Frozen(trace.ran.mean(axis=0), trace.statistic, carry=trace.carry)
-    frozen = rollout(policy, planted(PLANTED_SEED), name="frozen")
-    return story.planted(rows, summarise(frozen), selector)
+    iterate_policy(folder, config, resume=(folder / CHECKPOINT).exists())
 
 
 def main() -> None:
@@ -81,69 +74,79 @@ def main() -> None:
     parser = Parser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder to write")
     parser.add_argument("--bank", nargs="+", action="extend", type=Path, default=[], help="yours")
-    parser.add_argument("--timesteps", type=int, default=TIMESTEPS, help="frames of training")
+    parser.add_argument(
+        "--costs",
+        choices=COST_MODELS,
+        default="paper",
+        help="paper: the same on every machine; runs: for any techniques (default: paper)",
+    )
+    parser.add_argument("--iterations", type=int, default=ITERATIONS, help="of the training")
     parser.add_argument("--seed", type=int, default=0, help="of the training")
     given = parser.parse_args()
+    out: Path = given.out
+    others = [ScoreBank.load(bank) for bank in given.bank]
+    if folder := os.environ.get("AMUSIC_DATA"):
+        others.insert(0, from_recording(Path(folder) / "corridor", REAL))
+    others = [bank.with_costs(given.costs) for bank in others]  # refused before long work
 
-    rendered = images.rendered_banks(given.out, say)
+    tours = rendered.make_tours(out, say)
+    banks = [bank.with_costs(given.costs) for bank in rendered.banks_of(tours, out, say)]
+    run_folder = out / "run"
+    say(f"training a selector on simulated routes: {given.iterations} iterations")
+    learn(run_folder, given.iterations, given.seed)
+    trained = f"ppo:{run_folder}"
 
-    say(f"training a selector on {given.timesteps} frames of simulated routes")
-    run_folder = given.out / "run"
-    config = TrainingConfig(timesteps=given.timesteps, seed=given.seed)
-    train(run_folder, config, resume=(run_folder / CHECKPOINT).exists())
-
-    say("comparing it")
-    policies = [*POLICIES, f"ppo:{run_folder}"]
     with warnings.catch_warnings():
-        # Techniques that are never right are part of simulated routes, not a sign of bad input.
         warnings.filterwarnings("ignore", message=".*has no correct match")
+        say("comparing it")
         comparison = compare(
-            [*rendered, *others(given.bank)],
-            lambda bank: contestants([*policies, *all_subsets(bank.techniques)]),
-            given.out,
-            statistic=SICSettings.statistic,
-            report=partial(print, flush=True),
+            [*banks, *others],
+            lambda bank: contestants([*PICTURED, trained, *all_subsets(bank.techniques)]),
+            out,
+            report=lambda _: None,
         )
-    say("driving live along the first rendered route")
-    live = drive(given.out, load_selector(run_folder), rendered[0])
-    tell(given.out, comparison, [bank.name for bank in rendered], live)
-    say(f"done: open {given.out / 'index.html'}")
+        say("studying it: rules of every kind at no more compute")
+        selectors = {"trained here": [trained], "ships": ["ppo"]}
+        findings = study_rivals(banks, selectors, out / "study")
+    say("driving live along the first tour")
+    moment = drive(out, load_selector(run_folder), tours[0], banks[0])
 
-
-def tell(out: Path, comparison: Comparison, held_out: list[str], live: Path) -> None:
-    """Print the table and what it says, draw the figures, write the page."""
-    mean = mean_rows([row for row in comparison.rows if row["bank"] in held_out])
-    rest = list(dict.fromkeys(row["bank"] for row in comparison.rows))
-    sentences = story.held_out(mean, len(held_out))
-    sentences.append(freeze(comparison))
-    for name in rest:
-        if name not in (*held_out, PLANTED):
+    sentences = story.on_tours(findings, SELECTORS)
+    names = [bank.name for bank in banks]
+    for name in dict.fromkeys(row["bank"] for row in comparison.rows):
+        if name not in names:
             rows = [row for row in comparison.rows if row["bank"] == name]
-            sentences.append(story.other(name, rows))
+            sentences.append(story.other(name, rows, trained))
     say("drawing")
-    first = ReportFigure(
-        front(mean, out / "front.png"),
-        f"AUC against compute, mean over the {len(held_out)} rendered routes.",
-    )
-    sheet = ReportFigure(
-        images.contact_sheet(out),
-        "Two places of each rendered route: as the map has them, and below as the two drives saw"
-        " them.",
-    )
-    moment = ReportFigure(
-        live,
-        "A moment of the selector's live drive (drive.mp4): what the camera sees, the place it is"
-        " taken for, what ran and how long that took.",
-    )
-    figures = [first, sheet, moment, *draw(comparison, out)]
-    title = "A learned selector of place-recognition techniques"
-    page_rows = [*mean, *comparison.rows]
+    pictured = [
+        trace
+        for trace in comparison.traces
+        if trace.compute_weight in (None, *PICTURED_WEIGHTS) and trace.policy != "ppo"
+    ]
     write_report(
-        out / "index.html", title=title, sentences=sentences, rows=page_rows, figures=figures
+        out / "index.html",
+        title="A learned selector of place-recognition techniques",
+        sentences=sentences,
+        rows=[*mean_rows([r for r in comparison.rows if r["bank"] in names]), *comparison.rows],
+        figures=[
+            figures.draw(findings, out / "study")[0],
+            ReportFigure(
+                rendered.contact_sheet(tours[0], out),
+                "One place for each spell of the first tour: as the map has it, and below as the"
+                " drive sees it.",
+            ),
+            ReportFigure(
+                moment,
+                "A moment of the selector's live drive (drive.mp4): what the camera sees, the place"
+                " it is taken for, what ran and how long that took.",
+            ),
+            *draw(replace(comparison, traces=pictured), out),
+        ],
     )
-    print(f"\n{table(comparison)}\n")
+    print(f"\n{table(replace(comparison, traces=[]))}\n")  # without a line for every policy's p̂
     for sentence in sentences:
         print(sentence)
+    say(f"done: open {out / 'index.html'}")
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from amusic_gym.study import Entrant, store
 from amusic_gym.study.cells import LABELS
 from amusic_gym.study.field import BOTH, SEEDS, Field
 from amusic_gym.study.figures import draw
-from amusic_gym.study.findings import EVERYONE
+from amusic_gym.study.findings import EVERYONE, ahead
 from amusic_gym.study.fronts import GRID, front_at, hypervolume
 from amusic_gym.study.tables import Table, tables, text, write_markdown
 from baselines import make_policy
@@ -518,7 +518,7 @@ def test_fronts_are_of_families_and_of_single_policies(whole):
         "fixed subsets",
         "A-MuSIC",
         "cascade",
-        "random:0.5",
+        "random",
         "oracle",
         "raw:T0",
         "imitation",
@@ -607,6 +607,53 @@ def test_margins_are_differences_of_step_functions_on_the_grid():
     ]
 
 
+def test_matches_are_the_best_of_each_kind_at_no_more_compute():
+    findings = made_up(
+        {
+            "music": [(0.1, 0.6), (0.3, 0.9), (1.0, 0.95)],
+            "cascade": [(0.2, 0.8), (0.25, 0.79)],
+            "voi:idle": [(0.3, 0.8004)],
+            "periodic:2": [(0.4, 1.0)],
+            "peer": [(0.1, 1.0)],
+            "PPO": [(0.1, 0.5), (0.3, 0.8)],
+        },
+        {
+            **{"music": "fixed", "cascade": "cascade", "voi:idle": "idle"},
+            **{"periodic:2": "periodic", "peer": "peer", "PPO": "learned"},
+        },
+    )
+    found = {(row["compute_weight"], row["kind"]): row for row in findings.matches}
+    assert set(found) == {
+        (float(weight), kind)
+        for weight in (0, 1)
+        for kind in ("fixed subsets", "cascade", "may idle", "periodic")
+    }
+    subset = found[1.0, "fixed subsets"]
+    assert (subset["rival"], subset["rival_weight"], subset["rival_auc"]) == ("music", 1.0, 0.9)
+    assert subset["difference"] == pytest.approx(-0.1)
+    assert subset["difference_interval"] is None  # one seed, one route
+    assert found[0.0, "fixed subsets"]["rival_auc"] == 0.6
+    assert found[0.0, "cascade"]["rival"] is None  # dearer
+    assert found[1.0, "periodic"]["difference"] is None
+    assert ahead(subset) is False
+    assert ahead(found[1.0, "cascade"]) is None  # equal
+    assert ahead(found[1.0, "may idle"]) is None  # to three digits
+    (shown,) = (t for t in tables(findings) if t.title.startswith("The best of each kind"))
+    dear = ["PPO", "1", "30.0 %", "0.800", "", "0.900 > (MuSIC, λ 1)", "0.800 = (cascade, λ 0)"]
+    assert [line[: len(dear)] for line in shown.rows][1] == dear
+    assert list(shown.heads[5:]) == ["fixed subsets", "cascade", "periodic", "may idle"]
+    assert shown.rows[1][7] == "–"
+
+
+def test_ahead_needs_an_interval_without_0(whole):
+    rows = [row for row in whole.findings.matches if row["difference_interval"] is not None]
+    assert rows
+    for row in rows:
+        low, high = row["difference_interval"]
+        assert low <= row["difference"] <= high
+        assert ahead(row) is (True if low > 0 else False if high < 0 else None)
+
+
 def test_ahead_only_beyond_the_band_is_no_lead_within_it():
     aucs = {"music": [(0.1, 0.6)], "PPO": [(0.1, 0.6), (0.45, 0.9)]}
     (row,) = made_up(aucs, {"music": "fixed", "PPO": "learned"}).margins
@@ -656,7 +703,7 @@ def test_audit_holds_every_front_against_the_truth_and_says_loudly_where_they_pa
             for c in whole.finished
             if (c["condition"], c["bank"]) == (row["condition"], row["bank"])
             and c["policy"]
-            in {"fixed subsets": [e.name for e in FIXED]}.get(
+            in {"fixed subsets": [e.name for e in FIXED], "random": ["random:0.5"]}.get(
                 row["front"], [row["front"], row["front"].lower().replace("-", "")]
             )
         ]
@@ -696,6 +743,11 @@ def test_tables_show_every_point_once_and_mark_what_needs_ground_truth(whole):
         "bank2: 30 frames, 40 places (measured costs)",
         "Fronts, as recorded",
         "Fronts, re-timed",
+        *(
+            f"The best of each kind at no more compute, {condition}: {where}"
+            for where in ("mean over 2 routes", "bank1", "bank2")
+            for condition in ("as recorded", "re-timed")
+        ),
         "Margins: AUC of the selector's front minus the rival's",
         "Audit: estimated correctness p̂ against the truth",
     ]
@@ -749,6 +801,21 @@ def test_figures_of_the_mean_and_of_every_route(whole, tmp_path):
         assert figure.caption.endswith("95 % bootstrap intervals over seeds.")
 
 
+def test_a_figure_draws_a_large_family_as_one_front_whatever_is_in_it(tmp_path):
+    names = ["cascade", "cascade:1/3/0.5", "cascade:1/9/0.5"]
+    points = {name: [(0.2 + 0.1 * i, 0.7 + 0.1 * i)] for i, name in enumerate(names)}
+    of = dict.fromkeys(names, "cascade")
+    few = made_up({**points, "music": [(1.0, 0.9)]}, {**of, "music": "fixed"})
+    worse = {**points, "cascade:2/9/0.5": [(0.9, 0.75)]}  # beyond the front: not drawn
+    families = {**dict.fromkeys(worse, "cascade"), "music": "fixed"}
+    more = made_up({**worse, "music": [(1.0, 0.9)]}, families)
+    pictures = []
+    for i, findings in enumerate((few, more)):
+        (figure,) = draw(findings, tmp_path / str(i))
+        pictures.append(Path(figure.path).read_bytes())
+    assert pictures[0] == pictures[1]
+
+
 def test_figures_of_one_route_and_of_nothing_to_draw(tmp_path):
     plan = plan_of([*FIXED[:1], entrant("raw:T0")], banks(1), conditions=("retimed",))
     findings = study.find(plan, study.run(plan, tmp_path, report=len))
@@ -797,6 +864,7 @@ def test_command_runs_prints_and_resumes(run, tmp_path, folders, trained):  # no
     assert stored["settings"]["rivals"] == ["imitation"]
     assert {row["rival"] for row in stored["margins"]} == {
         "fixed subsets",
+        "random",
         "imitation",
         EVERYONE,
     }

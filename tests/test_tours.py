@@ -335,6 +335,20 @@ def test_all_conditions_are_drawn_from_unless_some_are_named(run):
     assert ScoreBank.load("bank").name == "bank"
 
 
+def test_a_part_is_cut_as_a_list_is(run):
+    options = "--techniques extraction_cases:Tiny --cache cache --tolerance 1 --seconds Tiny=1"
+    assert run(f"--part a:b@3:20:2 c:d@0:5:1 {options} --out bank")[0] == 0
+    cuts = [{"first": 3, "step": 2, "count": 9}, {"count": 5}]
+    folders = [
+        tuple(ImageFolder(name, **cut) for name in part)
+        for part, cut in zip((("a", "b"), ("c", "d")), cuts, strict=True)
+    ]
+    made = make_tour(folders)
+    written = ScoreBank.load("bank")
+    assert written.source == made.source
+    assert np.array_equal(written.truth.matrix(), made.ground_truth(1).matrix())
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -350,6 +364,9 @@ def test_all_conditions_are_drawn_from_unless_some_are_named(run):
             "--part 'a' is not of the form REFERENCE:QUERY",
         ),
         (f"{TWO} --part a:b:c --tolerance 1 --out new", "with one colon between them"),
+        (f"{TWO} --part a:b@1:5 --tolerance 1 --out new", "or REFERENCE:QUERY@FIRST:STOP:STEP"),
+        (f"{TWO} --part a:b@5:5:1 --tolerance 1 --out new", "takes no image"),
+        (f"{TWO} --part a:b@0:99:1 --tolerance 1 --out new", "a holds 30 images, but first=0"),
         (f"{TWO} --part a:nowhere --tolerance 1 --out new", "nowhere does not exist"),
         (
             f"{TWO} --part a:e --tolerance 1 --out new",

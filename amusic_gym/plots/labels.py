@@ -95,12 +95,15 @@ def _voi_label(argument: str) -> str:
     return "".join(", may idle" if part == "idle" else f", fixed λ {part}" for part in parts)
 
 
+def is_idle(policy: str) -> bool:
+    """Whether nothing may run on a frame: "random:0.5/idle", "voi:idle"."""
+    kind, _, argument = policy.partition(":")
+    return kind in MAY_IDLE and argument.split("/")[-1] == "idle"
+
+
 def is_variant(policy: str) -> bool:
     """Whether it is a variant of a policy that has a mark: "amusic:evidence", "random:0.5/idle"."""
-    kind, _, argument = policy.partition(":")
-    if kind in MAY_IDLE:
-        return argument.split("/")[-1] == "idle"
-    return kind == "amusic" and bool(argument)
+    return is_idle(policy) or policy.startswith("amusic:")
 
 
 def policy_mark(policy: str) -> tuple[str, str]:

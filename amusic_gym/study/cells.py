@@ -27,13 +27,15 @@ NAMES = {RECORDED: "as recorded", RETIMED: "re-timed"}
 
 FIXED, CASCADE, AMUSIC, LEARNED = "fixed", "cascade", "amusic", "learned"
 PERIODIC, VOI = "periodic", "voi"
-PEER, BOUND, RANDOM, VARIANT = "peer", "bound", "random", "variant"
-FAMILIES = (FIXED, CASCADE, AMUSIC, PERIODIC, VOI, LEARNED, PEER, BOUND, RANDOM, VARIANT)
+RANDOM, IDLE = "random", "idle"
+PEER, BOUND, VARIANT = "peer", "bound", "variant"
+FAMILIES = (FIXED, CASCADE, AMUSIC, PERIODIC, VOI, RANDOM, IDLE, LEARNED, PEER, BOUND, VARIANT)
 """What an entrant is to the fronts: see :class:`Entrant`."""
 
 FRONTS = {
     **{FIXED: "fixed subsets", CASCADE: "cascade", AMUSIC: "A-MuSIC"},
     **{PERIODIC: "periodic", VOI: "value of information"},
+    **{RANDOM: "random", IDLE: "may idle"},
 }
 """Families whose policies make one front together, and its name; others have one each."""
 
@@ -52,9 +54,10 @@ class Entrant:
     Attributes:
         name: in tables.
         family: of `FAMILIES`: ``fixed`` subsets, ``cascade`` rules, ``amusic``, ``periodic``
-            rules, ``voi`` (value of information), ``learned`` selectors, ``peer`` policies, a
-            ``bound`` that no robot could run, ``random`` choice, or ``variant``: a policy under
-            another statistic, for ablations; in no front.
+            rules, ``voi`` (value of information), ``random`` choice, ``idle``: any rule under which
+            nothing may run on a frame; ``learned`` selectors, ``peer`` policies, a ``bound`` that
+            no robot could run, or ``variant``: a policy under another statistic, for ablations; in
+            no front.
         contestants: one, or one for each seed. What makes them must pickle.
         statistic: SIC's, if it is not the study's.
         draws: whether the policy draws: then it has a cell per seed even as recorded.

@@ -28,6 +28,19 @@ MOST_NAMES = 4  # fixed subsets named in a panel, of those that raise the front 
 LEAST_GAIN = 0.01
 FRAMED = (kinds.FIXED, kinds.CASCADE, kinds.AMUSIC, kinds.LEARNED)
 """Families that a panel reaches down to; others further below are told in words."""
+GROUPS = {
+    kinds.CASCADE: labels.POLICY_MARKS["cascade"],
+    kinds.PERIODIC: labels.POLICY_MARKS["periodic"],
+    kinds.RANDOM: ("#CC9900", "v"),
+    kinds.VOI: labels.POLICY_MARKS["voi"],
+    kinds.IDLE: ("#4477AA", "o"),
+}
+"""Families of rules: colour and mark of their front, where more than two policies are in one."""
+
+SHOWN_AS = {
+    **{kinds.CASCADE: "cascade", kinds.PERIODIC: "periodic rule", kinds.RANDOM: "random choice"},
+    **{kinds.VOI: "value of information", kinds.IDLE: "rule that may idle"},
+}
 PEER_COLOUR = "#5D646D"
 PEER_MARKS = ("P", "X", "p", "h", "<", ">", "d", "8")
 LEARNED_COLOURS = (*labels.SWEEP_COLOURS, "#332288", "#44AA99", "#882255", "#8C6D31")
@@ -72,7 +85,8 @@ def _draw(findings: Findings, scopes: Sequence[str], path: Path) -> None:
     rows = _placed([r for r in findings.points if r["bank"] in scopes and _is_shown(r)])
     styles = _styles(findings)
     height = 4.3 if len(scopes) == 1 else 3.4
-    with figure_at(path, 5.6 * len(conditions), height * len(scopes) + 0.9) as figure:
+    width = max(7.6, 5.6 * len(conditions))  # inches
+    with figure_at(path, width, height * len(scopes) + 0.9) as figure:
         panels = figure.subplots(len(scopes), len(conditions), squeeze=False, sharex=True)
         known: dict[str, Any] = {}
         notes = []
@@ -88,12 +102,12 @@ def _draw(findings: Findings, scopes: Sequence[str], path: Path) -> None:
         for axes in panels[-1]:
             costs = findings.settings["costs"]
             axes.set_xlabel(f"Compute, as a share of running everything ({costs} costs)")
-        columns = 2 * len(conditions)
+        columns = max(3, 2 * len(conditions))
         truth = f"; {MARK} needs ground truth" if findings.settings["needs_truth"] else ""
         figure.legend(
             known.values(),
             known.keys(),
-            title=_bands(findings, scopes).capitalize() + truth,
+            title=fill(_bands(findings, scopes).capitalize() + truth, int(13 * width)),
             loc="outside lower center",
             ncols=columns,
         )
@@ -145,14 +159,42 @@ def _draw_panel(axes: Axes, rows: Sequence[Row], styles: dict[str, _Style]) -> l
     axes.set_xscale("log")
     axes.grid()
     notes = _draw_fixed(axes, [row for row in rows if row["family"] == kinds.FIXED])
-    swept = dict.fromkeys(row["policy"] for row in rows if _is_swept(row))
+    grouped = _grouped(rows)
+    for family in dict.fromkeys(grouped.values()):
+        _draw_family(axes, [row for row in rows if grouped.get(row["policy"]) == family], family)
+    rest = [r for r in rows if r["family"] != kinds.FIXED and r["policy"] not in grouped]
+    swept = dict.fromkeys(row["policy"] for row in rest if _is_swept(row))
     for name in swept:
-        _draw_sweep(axes, [row for row in rows if row["policy"] == name], styles[name])
-    others = [r for r in rows if r["family"] != kinds.FIXED and r["policy"] not in swept]
+        _draw_sweep(axes, [row for row in rest if row["policy"] == name], styles[name])
+    others = [row for row in rest if row["policy"] not in swept]
     for row in [*others, *(row for row in rows if row["policy"] == "music")]:
         _draw_policy(axes, row, styles[row["policy"]])
     _frame(axes, rows, styles)
     return notes
+
+
+def _grouped(rows: Sequence[Row]) -> dict[str, str]:
+    """Policies of families so large that they are drawn as one front, and their families."""
+    of = {row["policy"]: row["family"] for row in rows if row["family"] in GROUPS}
+    return {name: family for name, family in of.items() if list(of.values()).count(family) > 2}
+
+
+def _draw_family(axes: Axes, rows: Sequence[Row], family: str) -> None:
+    """The front of a family of rules as a step line, and its points."""
+    colour, marker = GROUPS[family]
+    best = pareto([(row["compute"], row["auc"], row) for row in rows])
+    xs, ys = [x for x, _, _ in best], [y for _, y, _ in best]
+    dashes = "--" if family == kinds.IDLE else "-"
+    axes.step(
+        [*xs, max(1.0, xs[-1])],
+        [*ys, ys[-1]],
+        where="post",
+        color=colour,
+        linewidth=1.2,
+        linestyle=dashes,
+        zorder=3,
+    )
+    axes.plot(xs, ys, marker, color=colour, markersize=4.5, label=f"best {SHOWN_AS[family]}")
 
 
 def _frame(axes: Axes, rows: Sequence[Row], styles: dict[str, _Style]) -> None:
@@ -160,7 +202,8 @@ def _frame(axes: Axes, rows: Sequence[Row], styles: dict[str, _Style]) -> None:
     framed = [row["auc"] for row in rows if row["family"] in FRAMED] or [r["auc"] for r in rows]
     low, high = min(framed, default=0.0), max([row["auc"] for row in rows], default=1.0)
     margin = max(0.08 * (high - low), 0.005)
-    points = [row for row in rows if not _is_swept(row)]  # a line shows where it goes
+    lines = _grouped(rows)  # and those over λ show where they go
+    points = [row for row in rows if not _is_swept(row) and row["policy"] not in lines]
     below = sorted((r for r in points if r["auc"] < low - margin), key=lambda row: -row["auc"])
     axes.set_ylim(low - margin * (3 if below else 1), high + margin)
     if below:

@@ -29,7 +29,7 @@ from amusic_gym.study.run import Finished, Row
 from amusic_gym.trace import write_whole
 
 RESULTS = "study.json"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 
 SHOWN_COMPUTES = (0.05, 0.1, 0.2, 0.4, 1.0)
 """Computes at which tables show a front."""
@@ -52,6 +52,8 @@ class Findings:
         points: a policy with one λ under one condition, on one route or their ``mean``.
         fronts: of the fixed subsets, of every family of rules, of every other policy.
         margins: of every learned selector over its rivals.
+        matches: of every point of a learned selector with the best point of each kind of rival at
+            no more compute.
         audit: p̂ against the truth, of every policy or family that gives p̂.
         warnings: what must not be overlooked.
     """
@@ -62,6 +64,7 @@ class Findings:
     points: list[Row]
     fronts: list[Row]
     margins: list[Row]
+    matches: list[Row]
     audit: list[Row]
     warnings: list[str]
 
@@ -85,6 +88,7 @@ def find(plan: Plan, finished: Finished, *, rivals: Iterable[str] = ()) -> Findi
     points: list[Row] = []
     fronts: list[Row] = []
     margins: list[Row] = []
+    matches: list[Row] = []
     names = [route["bank"] for route in plan.routes]
     for condition in plan.conditions:
         here = [cell for cell in finished if cell["condition"] == condition]
@@ -95,6 +99,7 @@ def find(plan: Plan, finished: Finished, *, rivals: Iterable[str] = ()) -> Findi
             points += scope.points(rows)
             fronts += scope.fronts()
             margins += scope.margins(rivals)
+            matches += scope.matches(rivals)
     audits = audit_rows(finished)
     return Findings(
         settings=_settings(plan, rivals),
@@ -103,6 +108,7 @@ def find(plan: Plan, finished: Finished, *, rivals: Iterable[str] = ()) -> Findi
         points=points,
         fronts=fronts,
         margins=margins,
+        matches=matches,
         audit=[row for row, _ in audits],
         warnings=[line for _, line in audits if line is not None],
     )
@@ -230,6 +236,48 @@ class _Scope:
             rows += [self._margin(name, rival, group) for rival, group in groups.items()]
         return rows
 
+    def matches(self, rivals: Sequence[str]) -> list[Row]:
+        """Rows for every point of a learned selector, one for each kind of rival in the field.
+
+        The rival is chosen as if one had known beforehand which is best here: a head start for it.
+        What costs the same to within `ROUNDING` is no dearer.
+        """
+        points = self.field.points
+        fronts = [front_of(point.policy, point.family) for point in points]
+        standing = (*kinds.FRONTS.values(), *rivals)
+        compute, auc = self.field.means()
+        varied, copies = self.field.resampled(self.over), self.field.replicates(self.over)[1]
+        rows = []
+        for p, point in enumerate(points):
+            if point.family != kinds.LEARNED:
+                continue
+            cheap = compute <= compute[p] * (1.0 + ROUNDING)
+            for name in dict.fromkeys(name for name in fronts if name in standing):
+                if name == fronts[p]:
+                    continue
+                affordable = cheap & np.array([front == name for front in fronts])
+                best = _place(auc, affordable)
+                row: Row = {
+                    **self.labels,
+                    **{"policy": point.policy, "compute_weight": point.compute_weight},
+                    **{"auc": float(auc[p]), "compute": float(compute[p]), "kind": name},
+                    **dict.fromkeys(("rival", "rival_weight", "rival_auc", "rival_compute")),
+                    **{"difference": None, "difference_interval": None},
+                    "interval_over": self.over,
+                }
+                if best is not None:
+                    row |= {
+                        "rival": points[best].policy,
+                        "rival_weight": points[best].compute_weight,
+                        "rival_auc": float(auc[best]),
+                        "rival_compute": float(compute[best]),
+                        "difference": float(auc[p] - auc[best]),
+                    }
+                    if varied[p] or varied[best]:
+                        row["difference_interval"] = interval(copies[:, p] - copies[:, best])
+                rows.append(row)
+        return rows
+
     def _margin(self, name: str, rival: str, group: Sequence[str]) -> Row:
         ours, theirs = self.of(name), self.of(*group)
         difference = _difference(ours, theirs)
@@ -251,6 +299,16 @@ class _Scope:
             "greatest_interval": spread,
             "interval_over": self.over,
         }
+
+
+def ahead(match: Row) -> bool | None:
+    """Whether the selector of a row of `Findings.matches` is ahead; None: too close to say.
+
+    Too close is an interval that holds 0; without one, a difference that three digits hide.
+    """
+    low, high = match["difference_interval"] or [match["difference"]] * 2
+    least = 0.0 if match["difference_interval"] else 5e-4
+    return True if low > least else False if high < -least else None
 
 
 def _point(row: Row) -> Point:

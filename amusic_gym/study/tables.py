@@ -9,9 +9,10 @@ from typing import Any
 
 from amusic_gym.audit import PARTING
 from amusic_gym.marks import footnote, marked
+from amusic_gym.plots.labels import policy_label
 from amusic_gym.settings import statistic_label
-from amusic_gym.study.cells import NAMES
-from amusic_gym.study.findings import SHOWN_COMPUTES, Findings
+from amusic_gym.study.cells import FRONTS, NAMES
+from amusic_gym.study.findings import SHOWN_COMPUTES, Findings, ahead
 from amusic_gym.study.fronts import BAND, ROUNDING
 from amusic_gym.study.plan import MEAN
 from amusic_gym.study.run import Row
@@ -56,7 +57,10 @@ def tables(findings: Findings) -> list[Table]:
     routes = [route["bank"] for route in findings.routes]
     scopes = [*([MEAN] if len(routes) > 1 else []), *routes]
     made = [_points(findings, scope) for scope in scopes]
-    made += [_fronts(findings, condition) for condition in findings.settings["conditions"]]
+    conditions = findings.settings["conditions"]
+    made += [_fronts(findings, condition) for condition in conditions]
+    for scope in scopes if findings.matches else []:
+        made += [_matches(findings, condition, scope) for condition in conditions]
     if findings.margins:
         made.append(_margins(findings))
     if findings.audit:
@@ -166,6 +170,46 @@ def _fronts(findings: Findings, condition: str) -> Table:
     )
     note = _noted(findings, note, [row["front"] for row in shown])
     return Table(f"Fronts, {NAMES[condition]}", heads, rows, note, words=2)
+
+
+def _matches(findings: Findings, condition: str, scope: str) -> Table:
+    """Every point of the learned selectors, and the best rival of each kind at no more compute."""
+    here = (condition, scope)
+    shown = [row for row in findings.matches if (row["condition"], row["bank"]) == here]
+    points = {
+        (row["policy"], row["compute_weight"]): row["auc_interval"]
+        for row in findings.points
+        if (row["condition"], row["bank"]) == here
+    }
+    matched: dict[tuple[Any, ...], dict[str, Row]] = {}
+    for row in shown:
+        matched.setdefault((row["policy"], row["compute_weight"]), {})[row["kind"]] = row
+    found = {row["kind"] for row in shown}
+    against = [kind for kind in (*FRONTS.values(), *findings.settings["rivals"]) if kind in found]
+    rows = []
+    for (policy, weight), of in matched.items():
+        own = next(iter(of.values()))
+        start = [_marked(findings, policy), "" if weight is None else f"{weight:g}"]
+        start += [_percent(own["compute"]), _three(own["auc"]), _interval(points[policy, weight])]
+        rows.append([*start, *(_rival(of.get(kind)) for kind in against)])
+    where = f"mean over {len(findings.routes)} routes" if scope == MEAN else scope
+    title = f"The best of each kind at no more compute, {NAMES[condition]}: {where}"
+    note = (
+        "Each column: the best AUC of its kind at no more compute than the selector's, and whose "
+        "it is. `=`: level with the selector, the 95 % bootstrap interval of the difference holds "
+        "0; `>`: ahead of it. –: none is so cheap. In `may idle`, nothing may run on a frame."
+    )
+    heads = ["selector", "λ", "compute", "AUC", "95 %", *against]
+    return Table(title, heads, rows, _noted(findings, note, [row["policy"] for row in shown]))
+
+
+def _rival(match: Row | None) -> str:
+    """A rival's AUC, how it stands to the selector, and its name."""
+    if match is None or match["rival"] is None:
+        return "–"
+    sign = {None: " =", True: "", False: " >"}[ahead(match)]
+    weight = "" if match["rival_weight"] is None else f", λ {match['rival_weight']:g}"
+    return f"{match['rival_auc']:.3f}{sign} ({policy_label(match['rival'])}{weight})"
 
 
 def _margins(findings: Findings) -> Table:

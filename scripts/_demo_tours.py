@@ -1,0 +1,88 @@
+"""The demo's tours: rendered worlds joined into drives, and what all techniques make of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from amusic_gym.bank import ScoreBank
+from amusic_gym.extraction import Cache, extract
+from amusic_gym.routes.rendered import Kind, render_folders
+from amusic_gym.routes.tours import Tour, make_tour
+
+TECHNIQUES = ("hog", "calc", "netvlad", "cohog")
+TOLERANCE = 1
+PLACES = 100
+SEEDS = (1, 2, 3)
+EXECUTOR = "process:2"
+SHOWN = 20
+"""Frames into a spell: the image of it that the contact sheet shows."""
+
+
+class World(NamedTuple):
+    """A rendered world, and how it looks on the second drive through it."""
+
+    kind: Kind
+    seed: int
+    condition: str
+
+
+WORLDS = (
+    World("street", 4_000, "shift"),
+    World("rail", 4_001, "night+shift"),
+    World("corridor", 4_002, "shift+crowd"),
+)
+
+
+def make_tours(out: Path, say: Callable[[str], None]) -> list[Tour]:
+    """Render the worlds to ``out/images``, and join them in another order for every seed.
+
+    What is there from an earlier call is not done again.
+    """
+    parts = []
+    for world in WORLDS:
+        images = out / "images" / world.kind
+        say(f"rendering a {world.kind}: the map, and a drive in {world.condition}")
+        render_folders(images, [world.condition], seed=world.seed, places=PLACES, kind=world.kind)
+        parts.append((images / "reference", images / world.condition))
+    turns = [number % len(parts) for number in range(len(SEEDS))]
+    orders = [parts[turn:] + parts[:turn] for turn in turns]
+    return [make_tour(order, seed=seed) for order, seed in zip(orders, SEEDS, strict=True)]
+
+
+def banks_of(tours: list[Tour], out: Path, say: Callable[[str], None]) -> list[ScoreBank]:
+    """The scores of all techniques on every tour, kept in ``out/banks``."""
+    banks = []
+    with Cache(out / "cache") as cache:
+        for tour in tours:
+            name = f"tour-{tour.seed}"
+            say(f"running {', '.join(TECHNIQUES)} on {name}")
+            bank = extract(
+                tour.reference,
+                tour.query,
+                TECHNIQUES,
+                tolerance=TOLERANCE,
+                ground_truth=tour.ground_truth(TOLERANCE),
+                source=tour.source,
+                cache=cache,
+                executor=EXECUTOR,
+                name=name,
+                out=out / "banks" / name,
+            )
+            banks.append(bank)
+    return banks
+
+
+def contact_sheet(tour: Tour, out: Path) -> Path:
+    """A picture of one place of every spell: the map above, below what the robot sees."""
+    frames = [min(spell.first + SHOWN, len(tour.query) - 1) for spell in tour.spells]
+    columns = [np.concatenate([tour.reference[i], tour.query[i]]) for i in frames]
+    sheet = np.concatenate(columns, axis=1)
+    small = cv2.resize(sheet, None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA)
+    path = out / "tour.jpg"
+    path.write_bytes(cv2.imencode(".jpg", small)[1].tobytes())
+    return path
