@@ -35,7 +35,7 @@ from _demo_drive import drive  # isort: skip
 
 REAL = ("HOG", "CALC", "CoHOG", "NetVLAD")
 ITERATIONS = 3
-QUICK = {"states": 3_000, "epochs": 6, "last_epochs": 10}
+QUICK = {"states": 3_000, "epochs": 8}
 """Of an iteration: less than the defaults, so that the training takes a minute or two."""
 PICTURED = ("amusic", "amusic:evidence", "music", "cascade", "random:0.3", "oracle", "ppo")
 """What every bank is compared on, besides the trained selector and all fixed subsets."""

@@ -109,7 +109,7 @@ def test_demo_from_worlds_to_page(scripts, monkeypatch, tmp_path, capsys):
     tiny = partial(RolloutConfig, horizon=4, hold=2, every=1)
     monkeypatch.setattr(demo, "TrainingConfig", lambda **given: TrainingConfig(**given | small))
     monkeypatch.setattr(demo, "RolloutConfig", tiny)
-    few = {"states": 8, "batch_size": 4, "epochs": 1, "last_epochs": 1}
+    few = {"states": 8, "batch_size": 4, "epochs": 1}
     monkeypatch.setattr(demo, "QUICK", few)
     monkeypatch.setattr(_rivals, "DRAWS", 2)
     monkeypatch.setattr(_rivals, "COMPUTE_WEIGHTS", (0.1, 1.0))
