@@ -36,7 +36,7 @@ WARM_START: dict[str, Any] = {"entropy": 0.001, "learning_rate": 4e-4, "frozen_u
 
 DEFAULTS: dict[str, dict[str, Any]] = {
     "imitation+ppo": WARM_START,
-    "rollouts": {"n_envs": 48, "pool": 512, "compute_weights": (0.02, 4.0)},
+    "rollouts": {"n_envs": 48, "pool": 512, "compute_weights": (0.02, 4.0), "held_out": 64},
 }
 """Where an algorithm's defaults are not those of PPO from scratch."""
 
