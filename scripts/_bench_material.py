@@ -108,12 +108,23 @@ class Material:
                 frame,
                 history=self.sizes.history,
                 tolerance=TOLERANCE,
-                calibration=coefficients("evidence")[:3],
+                track=reference.track_of(self.predicted[i][: frame + 1]),
+                calibration=coefficients("evidence")[:6],
             )
             same(f"reward of route {i} at frame {frame}", reward, want.p_correct - 1.0, 1e-5)
             for name in ("prediction", "technique", "confidence") if infos else ():
                 got = np.atleast_1d(infos[name])[i]  # type: ignore[index]
                 same(f"{name} of route {i} at frame {frame}", got, getattr(want, name), 1e-9)
+
+    @cached_property
+    def predicted(self) -> list[Any]:
+        """Places (Q,) on every route where everything runs."""
+        sizes, sums = self.sizes, [reference.summed(rows) for rows in self.z]
+        known = (sums, self.top)
+        return [
+            reference.predicted(*known, start, sizes.frames, sizes.history)
+            for start in range(sizes.routes)
+        ]
 
     @cached_property
     def halves(self) -> Any:
@@ -149,8 +160,11 @@ class Material:
                 same(f"error of route {i} at frame {frame}", min(off, TOLERANCE), off, 0.0)
 
     def checked_frames(self) -> set[int]:
-        """Frames that are compared: the first ones, one inside and the last."""
-        return {0, 1, self.sizes.frames // 2, self.sizes.frames - 1}
+        """Frames that are compared: the first ones, some inside and the last.
+
+        On frame N, route i has had a true place for i frames: p̂ is neither 0 nor 1 on all routes.
+        """
+        return {0, 1, self.sizes.routes, self.sizes.frames // 2, self.sizes.frames - 1}
 
 
 def same(what: str, got: float, want: float, relative: float) -> None:

@@ -63,6 +63,46 @@ def ranked(rows: NDArray[np.float32], count: int) -> NDArray[np.int64]:
     return order
 
 
+def summed(z: Floats) -> Floats:
+    """Sums (Q + 1, R + 1) along the diagonals of `z` (Q, R) from where they begin.
+
+    Entry (q, c) is over the scores before query q and place c.
+    """
+    sums = np.zeros((z.shape[0] + 1, z.shape[1] + 1))
+    for query, row in enumerate(z):
+        sums[query + 1, 1:] = sums[query, :-1] + row
+    return sums
+
+
+def predicted(
+    sums: Sequence[Floats], top: Sequence[Ints], start: int, frames: int, history: int
+) -> Ints:
+    """MuSIC's places (Q,) on a route of so many frames from query ``start``, everything running.
+
+    By differences of the sums along the diagonals, because :func:`gather` would take minutes.
+    """
+    ages = np.minimum(history, np.arange(frames))[:, None]
+    queries = start + np.arange(frames)[:, None]
+    values = []
+    for technique, ranked_places in enumerate(top):
+        places = ranked_places[start : start + frames]  # (Q, K)
+        terms = np.minimum(ages, places) + 1
+        ends = sums[technique][queries + 1, places + 1]
+        values.append(
+            (ends - sums[technique][queries + 1 - terms, places + 1 - terms]) / np.sqrt(terms)
+        )
+    both = np.concatenate(values, axis=1)
+    candidates = np.concatenate([places[start : start + frames] for places in top], axis=1)
+    found: Ints = candidates[np.arange(frames), both.argmax(axis=1)]
+    return found
+
+
+def track_of(places: Ints) -> int:
+    """Number of frames in a row, up to the last, on which the place moved on by one."""
+    breaks = np.flatnonzero(np.diff(places) != 1)
+    return len(places) - 1 - (int(breaks[-1]) + 1 if len(breaks) else 0)
+
+
 class Expected(NamedTuple):
     """What the environment must say of one route's frame on which everything ran."""
 
@@ -80,24 +120,31 @@ def expected(
     *,
     history: int,
     tolerance: int,
+    track: int,
     calibration: Floats,
 ) -> Expected:
     """MuSIC with all techniques on ``frame`` of a route that begins at query ``start``.
 
-    ``z`` and ``top`` hold one array per technique, see :func:`gather`; ``calibration`` are the
-    coefficients of p̂ for `evidence` where the winner has a rival.
+    ``z`` and ``top`` hold one array per technique, see :func:`gather`; ``track`` is that of the
+    frame, see :func:`track_of`; ``calibration`` are the coefficients of p̂ for `evidence` where the
+    winner has a rival.
     """
     places = [places[start + frame] for places in top]
     values = [
         gather(rows[start:], frame, chosen, history) for rows, chosen in zip(z, places, strict=True)
     ]
     technique = int(np.argmax([v.max() for v in values]))
-    place = int(places[technique][np.argmax(values[technique])])
+    own = np.array([int(p[np.argmax(v)]) for p, v in zip(places, values, strict=True)])
+    place = int(own[technique])
     confidence = float(values[technique].max())
     far = np.abs(np.stack(places) - place) > tolerance
     margin = confidence - float(np.stack(values)[far].max())
-    constant, by_statistic, by_margin = calibration
-    logit = constant + by_statistic * math.asinh(confidence) + by_margin * math.asinh(margin)
+    rows = np.stack([rows[start + frame] for rows in z])  # (T, R)
+    weights = 1.0 - np.clip(rows @ rows[technique] / rows.shape[1], 0.0, 1.0)
+    weights[technique] = 0.0
+    support = np.where(np.abs(own - place) <= tolerance, weights, 0.0).max()
+    inputs = [1.0, math.asinh(confidence), math.log1p(track), weights.max(), support]
+    logit = float(np.dot(calibration, [*inputs, math.asinh(margin)]))
     return Expected(place, confidence, technique, 1.0 / (1.0 + math.exp(-logit)))
 
 

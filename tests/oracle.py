@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+import numpy as np
 from oracle_metrics import (
     accuracy,
     auc,
@@ -284,6 +285,88 @@ def margin(result: Music, tolerance: int) -> float | None:
     return best - max(rivals) if rivals else None
 
 
+# ------------------------------------------------------------------- estimated correctness: p̂
+
+
+IDLE_DECAY = 0.9
+SUPPORT_MEMORY = 0.98
+
+
+class Others(NamedTuple):
+    """How much the techniques that MuSIC did not trust have a say, and say the same."""
+
+    heard: float = 0.0
+    support: float = 0.0
+
+
+def likeness(results: Sequence[Music | None], z: Numbers, technique: int) -> float:
+    """Mean product of a technique's z-scores and the trusted one's, where it last ran beside it."""
+    for frame in range(len(results) - 1, -1, -1):
+        result = results[frame]
+        if result is None or result.sics[technique] is None or result.technique == technique:
+            continue
+        trusted, own = np.array(z[result.technique][frame]), np.array(z[technique][frame])
+        return float(np.mean(trusted * own))
+    return 0.0
+
+
+def others(results: Sequence[Music | None], z: Numbers, memory: Memory, tolerance: int) -> Others:
+    """What the other techniques say of the prediction of the last frame, on which something ran.
+
+    `results` are MuSIC's up to that frame, `memory` includes it. A technique's last match may be
+    of a frame on which it ran after the fact only.
+    """
+    frame, result = len(results) - 1, results[-1]
+    assert result is not None
+    weights, agreeing = [0.0], [0.0]
+    for technique, matches in enumerate(memory.winners):
+        if technique == result.technique or not matches:
+            continue
+        last = max(matches)
+        alike = np.clip(likeness(results, z, technique), 0.0, 1.0)
+        weight = (1.0 - alike) * SUPPORT_MEMORY ** (frame - last)
+        weights.append(weight)
+        if abs(matches[last] + frame - last - result.place) <= tolerance:
+            agreeing.append(weight)
+    return Others(float(max(weights)), float(max(agreeing)))
+
+
+def tracks(predictions: Sequence[int]) -> list[int]:
+    """On every frame, how many in a row up to it moved on by one place."""
+    found, before = [], -1
+    for place in predictions:
+        moved = before >= 0 and place == before + 1
+        found.append(found[-1] + 1 if moved else 0)
+        before = place
+    return found
+
+
+def p_correct(
+    b: Numbers, statistic: float, track: int, said: Others, margin: float | None
+) -> float:
+    """p̂ of a fused match of that discounted statistic; no margin where there is no rival."""
+    inputs = [1.0, np.arcsinh(statistic), np.log1p(track)]
+    if margin is None:
+        logit = np.dot(b[6:9], inputs)
+    else:
+        logit = np.dot(b[:6], [*inputs, *said, np.arcsinh(margin)])
+    return float(1.0 / (1.0 + np.exp(-np.clip(logit, -30.0, 30.0))))
+
+
+def p_corrects(b: Numbers, route: Route, tolerance: int) -> list[float]:
+    """p̂ of every frame of a route."""
+    found, p = [], 0.0
+    steps = zip(route.results, tracks(route.predictions), route.others, strict=True)
+    for result, track, said in steps:
+        if result is None:
+            p *= IDLE_DECAY
+        else:
+            statistic = result.compared(result.technique, result.confidence)
+            p = p_correct(b, statistic, track, said, margin(result, tolerance))
+        found.append(p)
+    return found
+
+
 # --------------------------------------------------------------------------------- A-MuSIC
 
 
@@ -309,6 +392,7 @@ class Route:
     ran: list[list[bool]] = field(default_factory=list)  # (Q, T) on the frame itself
     selections: list[Selection] = field(default_factory=list)
     results: list[Music | None] = field(default_factory=list)  # MuSIC's, None where nothing ran
+    others: list[Others] = field(default_factory=list)  # what the others said of the prediction
     p_values: dict[int, float] = field(default_factory=dict)  # frame after the block -> p
 
     def runs(self) -> list[int]:

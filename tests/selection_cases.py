@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,6 @@ import oracle
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.calibration import coefficients
-from amusic_gym.dynamics import IDLE_DECAY
 from amusic_gym.settings import SICSettings
 
 CLOSE = {"rtol": 1e-9, "atol": 1e-9}
@@ -24,16 +22,6 @@ def as_arguments(chosen: SICSettings) -> tuple[Any, ...]:
 def as_settings(chosen: SICSettings, z: Any) -> tuple[Any, ...]:
     """In the order of the loops of several techniques."""
     return *as_arguments(chosen), z, chosen.carry, chosen.discount
-
-
-def estimated(statistic: str, confidence: float, margin: float | None) -> float:
-    """p̂ of a fused match of that discounted statistic; no margin where there is no rival."""
-    b = coefficients(statistic)
-    if margin is None:
-        logit = b[3] + b[4] * math.asinh(confidence)
-    else:
-        logit = b[0] + b[1] * math.asinh(confidence) + b[2] * math.asinh(margin)
-    return 1.0 / (1.0 + math.exp(-min(30.0, max(-30.0, logit))))
 
 
 def assert_selection(selection: dict, expected: oracle.Selection) -> None:
@@ -70,15 +58,11 @@ def assert_route(infos: list[dict], expected: oracle.Route, seconds) -> None:
 
 def assert_details(infos: list[dict], expected: oracle.Route, tolerance: int, statistic: str):
     """Every technique's match, the margin and p̂ of each frame are the same, too."""
-    found, wanted, p_correct = [], [], 0.0
-    for info, result in zip(infos, expected.results, strict=True):
+    found, wanted = [], []
+    p_corrects = oracle.p_corrects(coefficients(statistic), expected, tolerance)
+    for info, result, p_correct in zip(infos, expected.results, p_corrects, strict=True):
         assert info["idle"] == (result is None)
         margin = oracle.margin(result, tolerance) if result else None
-        if result:
-            best = result.compared(result.technique, result.confidence)
-            p_correct = estimated(statistic, best, margin)
-        else:
-            p_correct *= IDLE_DECAY
         own = [info[name] for name in ("place", "statistic", "correction")]
         found.append([info["margin"], info["p_correct"], *np.ravel(np.transpose(own))])
         sics = result.sics if result else [None] * len(own[0])
@@ -119,10 +103,11 @@ def follow(
             moved = oracle.moved_on(memory.fused, q)
             route.predictions.append(-1 if moved is None else min(moved, bank.references - 1))
             before = route.confidences[-1] if route.confidences else 0.0
-            route.confidences.append(IDLE_DECAY * before)
+            route.confidences.append(oracle.IDLE_DECAY * before)
             route.similarities.append(0.0)
             route.chosen.append(-1)
             route.results.append(None)
+            route.others.append(oracle.Others())
             continue
         result = oracle.music(scores, exists, q, *settings, memory)
         memory.note(result, q)
@@ -131,4 +116,5 @@ def follow(
         route.similarities.append(z[result.technique][q][result.place])
         route.chosen.append(result.technique)
         route.results.append(result)
+        route.others.append(oracle.others(route.results, z, memory, bank.tolerance))
     return route

@@ -243,6 +243,7 @@ def test_selections_on_a_route_longer_than_the_room_of_the_sums():
 
 @pytest.mark.parametrize("statistic", STATISTICS)
 def test_after_a_selection_all_is_as_if_everything_had_run_on_its_block(statistic):
+    """All but p̂, which asks what was predicted on the frames before, and what ran beside what."""
     bank, block, selections = random_bank(7), 5, [3, 14, 17, 30]  # two blocks overlap
     actions = np.random.default_rng(2).random((bank.queries, 4)) < 0.4
     actions[:, -1] = False
@@ -259,9 +260,9 @@ def test_after_a_selection_all_is_as_if_everything_had_run_on_its_block(statisti
         hindsight = [plain.step(row)[4] for row in ran[:following]]
         for info, expected in zip(infos[stop:following], hindsight[stop:], strict=True):
             assert info["prediction"] == expected["prediction"]
-            keys = ["place", "statistic", "correction"]
-            if statistic != "belief":  # whose p̂ has a running mean over the frames as they were
-                keys += ["confidence", "p_correct"]
+            keys = ["place", "statistic", "correction", "margin"]
+            if statistic != "belief":  # whose confidence is the logit of p̂
+                keys += ["confidence", "technique"]
             for key in keys:
                 np.testing.assert_allclose(info[key], expected[key], **CLOSE)
 

@@ -12,6 +12,7 @@ import pytest
 from env_cases import random_actions, random_bank
 
 from amusic_gym import calibration
+from amusic_gym.bank import ScoreBank
 from amusic_gym.env import TechniqueSelectionEnv
 from amusic_gym.settings import STATISTICS
 
@@ -38,8 +39,8 @@ def test_coefficients_that_ship_are_as_many_as_the_formula_has(statistic):
     shipped = calibration.coefficients(statistic)
     assert shipped.shape == ((5,) if statistic == "belief" else (9,))
     assert np.isfinite(shipped).all()
-    surer = [1] if statistic == "belief" else [3, 4, 6]  # support, margin, statistic alone
-    assert (shipped[surer] > 0.0).all()  # the surer, the righter
+    surer = [1] if statistic == "belief" else [2, 4, 5, 7, 8]
+    assert (shipped[surer] > 0.0).all()  # track, support and margin; statistic and track alone
 
 
 def test_the_estimate_of_the_belief_is_the_documented_one(bank):
@@ -82,24 +83,93 @@ def test_the_estimate_of_sic_is_the_documented_one(bank, statistic, carry):
             track = track + 1 if before >= 0 and place == before + 1 else 0
             before = place
             known = env.task.episodes.state
+            route = known.routes[0]
             statistic_ = info["confidence"] * known.slots[0]["discount"][info["technique"]]
-            margin = [info["margin"]] if rival else None
-            support = known.routes[0]["support"]
-            inputs = calibration.design([statistic_], [track], [support], margin)
-            part = b[:5] if rival else b[5:]
+            s, t = math.asinh(statistic_), math.log(1 + track)
+            if rival:
+                h, u, m = route["heard"], route["support"], math.asinh(info["margin"])
+                assert 0.0 <= u <= h <= 1.0
+                logit = b[0] + b[1] * s + b[2] * t + b[3] * h + b[4] * u + b[5] * m
+                rivals = ([h], [u], [info["margin"]])
+                inputs, part = calibration.design([statistic_], [track], rivals), b[:6]
+            else:
+                logit = b[6] + b[7] * s + b[8] * t
+                inputs, part = calibration.design([statistic_], [track], None), b[6:]
+            assert info["p_correct"] == pytest.approx(1.0 / (1.0 + math.exp(-logit)))
             assert calibration.logistic(inputs @ part)[0] == pytest.approx(info["p_correct"])
             seen.add((rival, round(info["p_correct"], 6)))
     assert min(sum(one[0] == rival for one in seen) for rival in (True, False)) >= 5
 
 
 def test_design_compresses_what_sic_gives():
-    found = calibration.design([0.0, 2.0], [0, 7], [0.0, 0.5], [1.0, -3.0])
+    found = calibration.design([0.0, 2.0], [0, 7], ([0.0, 0.75], [0.0, 0.5], [1.0, -3.0]))
     expected = [
-        [1, 0, 0, 0, math.asinh(1)],
-        [1, math.asinh(2), math.log(8), 0.5, math.asinh(-3)],
+        [1, 0, 0, 0, 0, math.asinh(1)],
+        [1, math.asinh(2), math.log(8), 0.75, 0.5, math.asinh(-3)],
     ]
     np.testing.assert_allclose(found, expected)
-    np.testing.assert_allclose(calibration.design([2.0], [7], [0.5], None), [expected[1][:4]])
+    np.testing.assert_allclose(calibration.design([2.0], [7], None), [expected[1][:3]])
+
+
+# ---- what the other techniques have to say -----------------------------------------------
+
+
+def independent(seed: int, queries: int = 30, references: int = 60) -> np.ndarray:
+    """Rows (Q, R) of noise in which query q stands out at place q."""
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(queries, references)) + 2.5 * np.eye(queries, references)
+
+
+def said_of(rows: list[np.ndarray], actions, statistic: str) -> list[tuple[float, ...]]:
+    """Of every frame: place, p̂, heard and support."""
+    seconds, truth = np.ones(len(rows)), np.arange(len(rows[0]))
+    names = [f"T{t}" for t in range(len(rows))]
+    bank = ScoreBank(np.stack(rows), names, seconds, tolerance=2, ground_truth=truth)
+    env = TechniqueSelectionEnv(bank, statistic=statistic)
+    env.reset(seed=0)
+    found = []
+    for action in actions:
+        info = env.step(action)[4]
+        route = env.task.episodes.state.routes[0]
+        others = (float(route["heard"]), float(route["support"]))
+        found.append((info["prediction"], info["p_correct"], *others))
+    return found
+
+
+@pytest.mark.parametrize("statistic", ["evidence", "mean"])
+def test_a_copy_of_the_chosen_technique_confirms_nothing(statistic):
+    row, other = independent(0), independent(1)
+    alone = said_of([row], np.ones((30, 1)), statistic)
+    doubled = said_of([row, row], np.ones((30, 2)), statistic)
+    np.testing.assert_allclose(doubled, alone, rtol=1e-12, atol=1e-12)
+    assert not np.any([one[2:] for one in alone])
+    scaled = said_of([row, 3.0 * row + 7.0], np.ones((30, 2)), statistic)  # another scale
+    np.testing.assert_allclose(scaled, alone, atol=1e-5)
+    both = said_of([row, other], np.ones((30, 2)), statistic)
+    again = said_of([row, other, row, other], np.ones((30, 4)), statistic)
+    np.testing.assert_allclose(again, both, rtol=1e-12, atol=1e-12)
+    assert min(one[2] for one in both) > 0.3
+
+
+@pytest.mark.parametrize("statistic", ["evidence", "mean"])
+def test_an_independent_technique_that_ran_earlier_and_agrees_makes_p_rise(statistic):
+    """It ran on frame 5 alone: what it said then decides how p̂ goes on from there."""
+    row, other = independent(0), independent(1)
+    other[5, 5] = 4.0
+    against = np.roll(other, 30, axis=1)  # the same, of another place
+    row[np.arange(30), np.arange(30)] += 3.0  # the surer one: it is trusted on all frames
+    first = np.array([[1, 0]] * 5 + [[1, 1]] + [[1, 0]] * 6)
+    agreed, opposed = (said_of([row, each], first, statistic) for each in (other, against))
+    alone = said_of([row], np.ones((12, 1)), statistic)
+    for age, frame in enumerate(range(6, 12), start=1):
+        places = {said[frame][0] for said in (agreed, opposed, alone)}
+        assert places == {frame}
+        weight = agreed[frame][2]
+        assert agreed[frame][3] == weight
+        assert weight == pytest.approx(agreed[5][2] * 0.98**age)
+        assert opposed[frame][2] > 0.0 == opposed[frame][3]
+        assert agreed[frame][1] > alone[frame][1] > 0.0
+        assert agreed[frame][1] > opposed[frame][1]
 
 
 def test_fit_finds_the_coefficients_that_the_outcomes_came_from():
@@ -133,8 +203,8 @@ def test_samples_are_those_of_single_routes_before_calibration(script, statistic
             mind = env.task.episodes.minds.minds[0, 0]
             known = env.task.episodes.state.routes[0]
             discount = env.task.episodes.state.slots[0]["discount"][info["technique"]]
-            sample = [info["confidence"], discount, known["track"], known["support"]]
-            sample.append(info["margin"])
+            sample = [info["confidence"], discount, known["track"]]
+            sample += [known["heard"], known["support"], info["margin"]]
             if statistic == "belief":
                 share = log_odds(mind["share"])
                 sample = [share, info["margin"], known["said"], known["said_mean"]]
@@ -146,6 +216,23 @@ def test_samples_are_those_of_single_routes_before_calibration(script, statistic
     )
     np.testing.assert_allclose(inputs, [expected[route][frame] for frame, route in order])
     assert correct.tolist() == [correctness for _, _, correctness in sorted(right)]
+
+
+def test_script_fits_frames_with_a_rival_and_those_without_apart(script):
+    rng = np.random.default_rng(4)
+    inputs = rng.uniform(0.0, 2.0, (60_000, 6))  # in the order of SIC_INPUTS
+    assert script.SIC_INPUTS == ("confidence", "discount", "track", "heard", "support", "margin")
+    lonely = rng.random(len(inputs)) < 0.5
+    inputs[lonely, 5] = 0.0  # no rival, no margin
+    wanted, alone = [-1.0, 0.5, 0.3, -0.6, 0.8, 0.7], [-1.5, 0.9, 0.4]
+    confidence, discount, tens, heard, support, margin = inputs.T
+    s, t = np.arcsinh(confidence * discount), np.log(1 + 10 * tens)
+    columns = [np.ones_like(s), s, t, heard, support, np.arcsinh(margin)]
+    logits = np.where(lonely, alone @ np.stack(columns[:3]), wanted @ np.stack(columns))
+    correct = rng.random(len(inputs)) < 1.0 / (1.0 + np.exp(-logits))
+    samples = (inputs, correct)
+    np.testing.assert_allclose(script.sic_fit(samples, rival=True), wanted, atol=0.2)
+    np.testing.assert_allclose(script.sic_fit(samples, rival=False), alone, atol=0.2)
 
 
 def test_script_fits_every_statistic(script, tmp_path, capsys):

@@ -327,10 +327,16 @@ def test_a_copy_goes_on_alike(arguments, seed, at, twin_of):
 
 
 @settings(max_examples=60, deadline=None)
-@given(ours, st.integers(0, 2**32 - 1), st.integers(2, 3))
-def test_copies_of_techniques_change_neither_places_nor_p(arguments, seed, copies):
+@given(ours, st.integers(0, 2**32 - 1), st.integers(2, 3), st.booleans())
+def test_copies_of_techniques_change_neither_places_nor_p(arguments, seed, copies, constant):
+    """Of p̂ it is true where no row is constant: such a row is not like its copy."""
     rng = np.random.default_rng(seed)
-    one = noisy_bank(rng, 2, 25, int(rng.integers(1, 30)), levels=int(rng.integers(2, 9)))
+    references = int(rng.integers(1 if constant else 2, 30))
+    one = noisy_bank(rng, 2, 25, references, levels=int(rng.integers(2, 9)))
+    if not constant:
+        scores = one.scores.copy()
+        scores[..., 0] += scores.max(axis=2) == scores.min(axis=2)
+        one = ScoreBank(scores, one.techniques, one.seconds, tolerance=1, ground_truth=one.truth)
     names = [f"{name} {k}" for k in range(copies) for name in one.techniques]
     scores, seconds = np.tile(one.scores, (copies, 1, 1)), np.tile(one.seconds, copies)
     many = ScoreBank(scores, names, seconds, tolerance=1, ground_truth=one.truth)
@@ -351,8 +357,23 @@ def test_copies_of_techniques_change_neither_places_nor_p(arguments, seed, copie
             tally = info["selection"]["tally"]
             assert tally.tolist() == [*expected["selection"]["tally"], *[0] * (2 * copies - 2)]
             break  # it runs one of each from here on
-        for name in ("prediction", "confidence", "margin", "p_correct", "technique"):
+        for name in ("prediction", "confidence", "margin", "technique"):
             assert info[name] == expected[name]
+        if not constant:  # the likeness of copies is 1 but for rounding
+            assert info["p_correct"] == pytest.approx(expected["p_correct"], rel=1e-9)
+
+
+@pytest.mark.xfail(strict=True, reason="constant rows are not like each other: z-scores of 0")
+def test_a_copy_whose_row_is_constant_confirms_nothing():
+    rows = np.random.default_rng(0).normal(size=(10, 30)) + 3.0 * np.eye(10, 30)
+    rows[6] = 1.0
+    alone, doubled = (
+        infos_of(TechniqueSelectionEnv(bank_from(*[rows] * n)), np.ones((10, n))) for n in (1, 2)
+    )
+    found, wanted = ([info["p_correct"] for info in infos] for infos in (doubled, alone))
+    np.testing.assert_allclose(found[:6], wanted[:6])
+    np.testing.assert_allclose(found[7:], wanted[7:])
+    np.testing.assert_allclose(found[6], wanted[6])
 
 
 # ---- what is observed --------------------------------------------------------------------
