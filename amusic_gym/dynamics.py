@@ -200,7 +200,7 @@ def weigh_others(state: State, i: int, chosen: int, frame: int) -> None:
     """Ask the other techniques than the chosen one of the prediction.
 
     A technique counts less the longer ago it ran, and less the more its row was like the chosen
-    one's, where they last ran together. ``heard`` is the highest weight of all, ``support`` that
+    one's, where they last ran together; a constant row says nothing at all. ``heard`` is the highest weight of all, ``support`` that
     of those whose last match, moved on, is the prediction; both in [0, 1].
     """
     slots, route = state.slots[i], state.routes[i]
@@ -210,7 +210,10 @@ def weigh_others(state: State, i: int, chosen: int, frame: int) -> None:
         if s == chosen or slot.last_run < 0 or not slot.present:
             continue
         if slot.ran:
-            slot.likeness = correlation(state.runs[i, chosen], frame, state.runs[i, s], frame, 0)
+            one, other = state.runs[i, chosen], state.runs[i, s]
+            slot.likeness = correlation(one, frame, other, frame, 0)
+            if scale_at(one, frame)[0] == 0.0 or scale_at(other, frame)[0] == 0.0:
+                slot.likeness = 1.0  # a constant row says nothing
         age = frame - slot.last_run
         weight = (1.0 - min(max(slot.likeness, 0.0), 1.0)) * SUPPORT_MEMORY**age
         route.heard = max(route.heard, weight)

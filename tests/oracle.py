@@ -306,6 +306,8 @@ def likeness(results: Sequence[Music | None], z: Numbers, technique: int) -> flo
         if result is None or result.sics[technique] is None or result.technique == technique:
             continue
         trusted, own = np.array(z[result.technique][frame]), np.array(z[technique][frame])
+        if not trusted.any() or not own.any():  # of a constant row
+            return 1.0
         return float(np.mean(trusted * own))
     return 0.0
 

@@ -359,11 +359,10 @@ def test_copies_of_techniques_change_neither_places_nor_p(arguments, seed, copie
             break  # it runs one of each from here on
         for name in ("prediction", "confidence", "margin", "technique"):
             assert info[name] == expected[name]
-        if not constant:  # the likeness of copies is 1 but for rounding
-            assert info["p_correct"] == pytest.approx(expected["p_correct"], rel=1e-9)
+        # The likeness of copies is 1 but for rounding.
+        assert info["p_correct"] == pytest.approx(expected["p_correct"], rel=1e-9)
 
 
-@pytest.mark.xfail(strict=True, reason="constant rows are not like each other: z-scores of 0")
 def test_a_copy_whose_row_is_constant_confirms_nothing():
     rows = np.random.default_rng(0).normal(size=(10, 30)) + 3.0 * np.eye(10, 30)
     rows[6] = 1.0

@@ -92,6 +92,8 @@ class Observer:
                 continue
             if slot["last"] == frame:
                 slot["likeness"] = float(np.dot(chosen, self.z[t][frame])) / len(chosen)
+                if not np.any(chosen) or not np.any(self.z[t][frame]):
+                    slot["likeness"] = 1.0
             age = frame - slot["last"]
             if abs(slot["place"] + age - result.place) <= self.bank.tolerance:
                 best = max(best, (1 - min(max(slot["likeness"], 0), 1)) * 0.98**age)
