@@ -200,8 +200,9 @@ def weigh_others(state: State, i: int, chosen: int, frame: int) -> None:
     """Ask the other techniques than the chosen one of the prediction.
 
     A technique counts less the longer ago it ran, and less the more its row was like the chosen
-    one's, where they last ran together; a constant row says nothing at all. ``heard`` is the highest weight of all, ``support`` that
-    of those whose last match, moved on, is the prediction; both in [0, 1].
+    one's, where they last ran together; a constant row says nothing at all. ``heard`` is the
+    highest weight of all, ``support`` that of those whose last match, moved on, is the prediction;
+    both in [0, 1].
     """
     slots, route = state.slots[i], state.routes[i]
     route.heard, route.support = 0.0, 0.0
