@@ -216,8 +216,8 @@ def test_all_fail_and_all_good_reach_every_technique() -> None:
 
 
 # Made before there were trends, decoys and copies: three scores of the frame in the middle for the
-# place at a third of the map, the deviation of all scores, and all costs. "kidnapped" is younger: it
-# was made anew when simulated and re-timed routes came to share one walk, which draws otherwise.
+# place at a third of the map, the deviation of all scores, and all costs. "kidnapped" is younger:
+# it was made anew when simulated and re-timed routes came to share one walk, which draws otherwise.
 BEFORE: dict[str, tuple[Any, tuple[int, int, int], list[float]]] = {
     "default": (
         lambda: simulate(3),
