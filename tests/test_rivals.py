@@ -429,4 +429,5 @@ def test_a_rule_with_compute_weights_is_a_line_and_a_rival(tmp_path, monkeypatch
     swept, idle = lines["value of information"], lines["value of information, may idle"]
     assert [len(line.get_xdata()) for line in (swept, idle)] == [2, 2]
     assert [line.get_linestyle() for line in (swept, idle)] == ["-", "--"]
-    assert len(lines["T0 every 2 frames"].get_xdata()) == 1
+    for one in ("T0 every 2 frames", "T0 every 4 frames, else idle"):
+        assert len(lines[one].get_xdata()) == 1
