@@ -337,13 +337,17 @@ def test_it_finds_the_one_good_technique_of_every_regime(seed, statistic):
 
 @pytest.mark.parametrize("spec", READS_COMPUTE_WEIGHT)
 def test_a_larger_compute_weight_is_never_dearer(spec):
-    routes = [planted(0), planted(3, regimes=2), *map(simulate, (2, 3, 4))]
+    routes = [planted(0), planted(3, regimes=2), *map(simulate, range(2, 12))]
     jobs = [Job(route, weight) for route in routes for weight in WEIGHTS]
     traces = rollouts(make(spec, routes[0]), jobs, name=spec, statistic="evidence", **PLAIN)
     compute = np.reshape([summarise(trace)["compute"] for trace in traces], (len(routes), -1))
-    assert (np.diff(compute, axis=1) <= 0.03).all()  # on one route, a little by chance
     assert (np.diff(compute.mean(axis=0)) < 0.0).all()
-    assert (compute[:, 0] > 1.4 * compute[:, -1]).all()
+    assert compute[:, 0].mean() > 2.5 * compute[:, -1].mean()
+    # On one route a little by chance; and once more than that: as it learns about the techniques
+    # while it drives, a weight may settle on a dearer one that does as well.
+    assert (np.diff(compute, axis=1) > 0.03).sum() <= 1
+    # Not by how much: on some the techniques cost alike, or the cheapest will do at any weight.
+    assert (compute[:, 0] > compute[:, -1]).all()
 
 
 @pytest.mark.parametrize("idle", ["", "/idle"])
@@ -397,21 +401,22 @@ def test_a_study_knows_their_families():
     )
     entrants = lineup.entrants(["A", "B"])
     assert [one.family for one in entrants] == [
-        *(kinds.PERIODIC, kinds.PERIODIC, kinds.VOI, kinds.VOI, kinds.CASCADE, kinds.PEER)
+        *(kinds.PERIODIC, kinds.IDLE, kinds.VOI, kinds.IDLE, kinds.CASCADE, kinds.PEER)
     ]
-    assert {kinds.PERIODIC, kinds.VOI} <= set(kinds.FRONTS)  # so they are rivals of what is learned
-    assert {kinds.PERIODIC, kinds.VOI} <= set(kinds.FAMILIES)
+    rules = {kinds.PERIODIC, kinds.VOI, kinds.IDLE}
+    assert rules <= set(kinds.FRONTS)  # so they are rivals of what is learned
+    assert rules <= set(kinds.FAMILIES)
 
 
 def test_a_rule_with_compute_weights_is_a_line_and_a_rival(tmp_path, monkeypatch):
-    specs = ("voi", "voi:idle", "periodic:2/T0/idle", "periodic:4/T0/idle")
+    specs = ("voi", "voi:idle", "periodic:2/T0", "periodic:4/T0/idle")
     lineup = Lineup(specs, {}, True, {}, (0.1, 1.0))
     everybody = [*lineup.entrants(["T0", "T1", "T2"]), learned("PPO", seeds=1)]
     route = random_bank(1, queries=30, references=40)
     plan = plan_of(everybody, [route], seeds=(0,), conditions=("recorded",))
     findings = study.find(plan, study.run(plan, tmp_path, report=len))
     rivals = [row["rival"] for row in findings.margins]
-    assert rivals == ["fixed subsets", "value of information", "periodic", EVERYONE]
+    assert rivals == ["fixed subsets", "value of information", "may idle", "periodic", EVERYONE]
     written, save = [], Figure.savefig
 
     def keep(figure, *arguments, **options):
@@ -424,4 +429,5 @@ def test_a_rule_with_compute_weights_is_a_line_and_a_rival(tmp_path, monkeypatch
     swept, idle = lines["value of information"], lines["value of information, may idle"]
     assert [len(line.get_xdata()) for line in (swept, idle)] == [2, 2]
     assert [line.get_linestyle() for line in (swept, idle)] == ["-", "--"]
-    assert len(lines["T0 every 2 frames, else idle"].get_xdata()) == 1
+    for one in ("T0 every 2 frames", "T0 every 4 frames, else idle"):
+        assert len(lines[one].get_xdata()) == 1

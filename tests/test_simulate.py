@@ -216,17 +216,18 @@ def test_all_fail_and_all_good_reach_every_technique() -> None:
 
 
 # Made before there were trends, decoys and copies: three scores of the frame in the middle for the
-# place at a third of the map, the deviation of all scores, and all costs.
+# place at a third of the map, the deviation of all scores, and all costs. "kidnapped" is younger:
+# it was made anew when simulated and re-timed routes came to share one walk, which draws otherwise.
 BEFORE: dict[str, tuple[Any, tuple[int, int, int], list[float]]] = {
     "default": (
         lambda: simulate(3),
         (4, 300, 300),
         [0.294351, 0.249564, 0.161706, 0.20019, 1.428503],
     ),
-    "varied": (
-        lambda: simulate(4, queries=60, motion="varied"),
+    "kidnapped": (
+        lambda: simulate(4, queries=60, motion="kidnapped"),
         (4, 60, 91),
-        [0.406604, 0.386396, 0.725021, 0.102253, 3.263745],
+        [0.372534, 0.383317, 0.591214, 0.10017, 3.263745],
     ),
     "planted": (
         lambda: planted(1),

@@ -1,4 +1,4 @@
-"""The training of the selector that ships, at a small size, and what may take its place."""
+"""The trainings of the selectors that ship, at a small size, and what may take their place."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import pytest
 from small_training import SCRIPTS, SMALL
 
-from agents.config import ImitationConfig, TrainingConfig
+from agents.config import ImitationConfig, RolloutConfig, TrainingConfig
 from agents.imitation import IMITATION
 from agents.run_folder import CONFIG, SELECTOR
 from agents.selector import load_selector
@@ -29,6 +29,10 @@ TINY = {
     **SMALL,
     "imitation": ImitationConfig(rounds=2, frames=64, epochs=1, batch_size=32),
     "frozen_updates": 1,
+    "rollouts": RolloutConfig(
+        iterations=2, states=8, subsets=4, hold=2, horizon=6, every=3, epochs=2, batch_size=4
+    ),
+    "threads": 1,  # processes would not know of the small size
 }
 STEPS = 64
 CARD = "CARD.md"
@@ -67,13 +71,22 @@ def command(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def trained(command, tmp_path_factory) -> SimpleNamespace:
-    """A tiny training that shipped into an empty folder with a card."""
+    """A tiny training for the default statistic that shipped into an empty folder with a card."""
     folder = tmp_path_factory.mktemp("default")
     shipped = folder / "shipped"
     shipped.mkdir()
     (shipped / CARD).write_text("by hand")
     command(folder / "run", shipped, "--ship")
     return SimpleNamespace(out=folder / "run", shipped=shipped)
+
+
+@pytest.fixture(scope="module")
+def belief(command, tmp_path_factory) -> SimpleNamespace:
+    """A tiny training for the statistic belief that shipped into an empty folder."""
+    folder = tmp_path_factory.mktemp("belief")
+    (folder / "shipped").mkdir()
+    command(folder / "run", folder / "shipped", "--statistic", "belief", "--ship")
+    return SimpleNamespace(out=folder / "run", shipped=folder / "shipped")
 
 
 @pytest.fixture
@@ -92,15 +105,26 @@ def test_a_run_ships_a_selector_that_loads_with_its_configuration_beside_the_car
     assert (trained.shipped / CARD).read_text() == "by hand"
     assert train_default.is_same(trained.out, trained.shipped)
     stored = json.loads((trained.shipped / CONFIG).read_text("utf-8"))
-    assert stored["training"]["algorithm"] == "imitation+ppo"
-    assert stored["training"]["timesteps"] == STEPS
+    assert stored["training"]["algorithm"] == "rollouts"
+    assert stored["training"]["reward"] == "ground_truth"
     assert stored["banks"] == []
-    assert stored["best"]["timesteps"] <= STEPS
+    assert stored["best"]["timesteps"] in (8, 16)  # states of one iteration, or of both
     assert str(trained.out) not in (trained.shipped / CONFIG).read_text(
         "utf-8"
     )  # no machine's path
     load_selector(trained.shipped)
-    chosen = json.loads((trained.out / IMITATION / _train_teacher.FILE).read_text("utf-8"))
+
+
+def test_for_belief_a_teacher_is_chosen_imitated_and_surpassed(belief):
+    assert sorted(digests(belief.shipped)) == [CONFIG, SELECTOR]
+    stored = json.loads((belief.shipped / CONFIG).read_text("utf-8"))
+    assert stored["training"]["algorithm"] == "imitation+ppo"
+    assert stored["training"]["timesteps"] == STEPS
+    assert stored["training"]["warm_start"] is None
+    assert stored["best"]["timesteps"] <= STEPS
+    assert str(belief.out) not in (belief.shipped / CONFIG).read_text("utf-8")  # no machine's path
+    load_selector(belief.shipped)
+    chosen = json.loads((belief.out / IMITATION / _train_teacher.FILE).read_text("utf-8"))
     assert len(chosen) == _train_teacher.PARTS
 
 
@@ -122,14 +146,12 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(
 
 
 def test_the_statistic_is_the_default_s_or_the_one_that_is_asked_for(
-    trained, command, tmp_path, capsys
+    trained, belief, command, tmp_path, capsys
 ):
     stored = json.loads((trained.shipped / CONFIG).read_text("utf-8"))
     assert stored["versions"]["statistic"] == "evidence"
     assert stored["environment"] == {"carry": True, "discount": True}
-    command(tmp_path / "belief", tmp_path / "empty", "--statistic", "belief", "--ship")
-    assert "for 'belief'" in capsys.readouterr().out
-    stored = json.loads((tmp_path / "empty" / CONFIG).read_text("utf-8"))
+    stored = json.loads((belief.shipped / CONFIG).read_text("utf-8"))
     assert stored["versions"]["statistic"] == "belief"
     assert stored["environment"] == {"carry": False, "discount": False}
     with pytest.raises(SystemExit):
@@ -137,13 +159,19 @@ def test_the_statistic_is_the_default_s_or_the_one_that_is_asked_for(
     assert "invalid choice: 'mean'" in capsys.readouterr().err
 
 
-def test_a_finished_training_is_not_begun_again(trained, command, monkeypatch, capsys):
-    before = digests(trained.out)
+@pytest.mark.parametrize("statistic", ["evidence", "belief"])
+def test_a_finished_training_is_not_begun_again(
+    trained, belief, command, monkeypatch, capsys, statistic
+):
+    run = belief if statistic == "belief" else trained
+    before = digests(run.out)
+    for name in ("collect", "learn"):
+        monkeypatch.setattr(f"agents.policy_iteration.{name}", None)
     monkeypatch.setattr("agents.imitation.imitate_then_train", None)
     monkeypatch.setattr("_train_teacher.make_teacher", None)
-    command(trained.out, trained.shipped)
-    assert capsys.readouterr().out.endswith("is the selector that ships for 'evidence'\n")
-    assert digests(trained.out) == before
+    command(run.out, run.shipped, "--statistic", statistic)
+    assert capsys.readouterr().out.endswith(f"is the selector that ships for {statistic!r}\n")
+    assert digests(run.out) == before
 
 
 def test_a_worse_selector_does_not_take_the_place_of_a_better_one(
@@ -156,8 +184,9 @@ def test_a_worse_selector_does_not_take_the_place_of_a_better_one(
         _cli.run(lambda: command(trained.out, better, "--ship"))
     told = capsys.readouterr()
     assert ended.value.code == 2
-    assert told.err.startswith(f"train_default.py: the selector in {better} reaches a score of ")
-    assert "leave out --ship, or delete" in told.err
+    message = told.err.splitlines()[-1]  # after a progress bar
+    assert message.startswith(f"train_default.py: the selector in {better} reaches a score of ")
+    assert "leave out --ship, or delete" in message
     assert digests(better) == before
     (better / SELECTOR).unlink()  # as the message says
     command(trained.out, better, "--ship")
