@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from agents.config import TrainingConfig, stored_banks, stored_config
+from agents.config import TrainingConfig, stored_config
 from agents.dagger import DAgger
 from agents.run_folder import CHECKPOINT
 from agents.selector import load_selector
-from agents.training import bank_folders, refuse_used, train, training_source
+from agents.training import bank_folders, begun, refuse_used, train, training_source
 from amusic_gym.policy import Correction, Needs, Selector
 from amusic_gym.sources import BankLike, RouteSource
 
@@ -55,11 +55,7 @@ def imitate(
             another environment.
     """
     out = Path(out)
-    if resume:
-        config = stored_config(out)
-        banks = banks if banks or source else stored_banks(out)
-    else:
-        refuse_used(out)
+    config, banks = begun(out, config, banks, source, resume)
     _check_teacher(teacher, config)
     dagger = DAgger(out, config, teacher, source or training_source(config, banks))
     dagger.records.banks = bank_folders(source, banks)

@@ -28,7 +28,7 @@ import torch
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from agents.config import RolloutConfig, TrainingConfig, stored_banks, stored_config
+from agents.config import RolloutConfig, TrainingConfig
 from agents.evaluation import Evaluation, HeldOut
 from agents.keeper import Records
 from agents.learners.common import make_env
@@ -36,7 +36,7 @@ from agents.network import SetSizes
 from agents.run_folder import CHECKPOINT, check_layers, read_tensors, write_tensors
 from agents.selector import load_selector
 from agents.subsets import MOST_SLOTS, SubsetNetwork, SubsetSelector
-from agents.training import bank_folders, refuse_used, training_source
+from agents.training import bank_folders, begun, training_source
 from amusic_gym.policy import Selector
 from amusic_gym.sources import BankLike, RouteSource
 from amusic_gym.task import Task
@@ -44,7 +44,6 @@ from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 SPELL = (3, 50)
 """Frames for which a route of a collection is driven in one way: by the policy, or by a subset."""
-
 
 PART = 1000
 """States that are collected in one go, from the beginning of every route on."""
@@ -97,11 +96,7 @@ def iterate_policy(
         ValueError: if the folder holds another training or is damaged, or a route is live.
     """
     out = Path(out)
-    if resume:
-        config = stored_config(out)
-        banks = banks if banks or source else stored_banks(out)
-    else:
-        refuse_used(out)
+    config, banks = begun(out, config, banks, source, resume)
     iteration = PolicyIteration(out, config, source or training_source(config, banks))
     iteration.records.banks = bank_folders(source, banks)
     if resume:

@@ -64,11 +64,11 @@ def train(
         KeyboardInterrupt: after saving a checkpoint.
     """
     out = Path(out)
+    timesteps = config.timesteps
+    config, banks = begun(out, config, banks, source, resume)
     if resume:
-        config = replace(stored_config(out), timesteps=config.timesteps)
-        banks = banks if banks or source else stored_banks(out)
+        config = replace(config, timesteps=timesteps)
     else:
-        refuse_used(out)
         config = replace(config, warm_start=_folder(warm_start))
     model = make_model(config, source or training_source(config, banks))
     held_out = HeldOut(config.held_out, config.statistic)
@@ -119,6 +119,28 @@ def _learn(model: BaseAlgorithm, timesteps: int, keeper: Keeper, progress: bool)
         for bar in bars:  # an interrupted one would go on moving, and hide the cursor
             if hasattr(bar, "pbar"):
                 bar.pbar.close()
+
+
+def begun(
+    out: Path,
+    config: TrainingConfig,
+    banks: Sequence[BankLike],
+    source: RouteSource | None,
+    resume: bool,
+) -> tuple[TrainingConfig, Sequence[BankLike]]:
+    """The configuration and banks of a run: those of its folder to resume, else those given.
+
+    Args:
+        out: the run folder; a used one is refused unless it is to be resumed.
+        config: what is given.
+        banks: banks given to train on.
+        source: routes given instead of banks.
+        resume: whether the folder's training goes on.
+    """
+    if not resume:
+        refuse_used(out)
+        return config, banks
+    return stored_config(out), banks if banks or source else stored_banks(out)
 
 
 def refuse_used(out: Path) -> None:
