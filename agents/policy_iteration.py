@@ -32,10 +32,9 @@ from agents.config import RolloutConfig, TrainingConfig
 from agents.evaluation import Evaluation, HeldOut
 from agents.keeper import Records
 from agents.learners.common import make_env
-from agents.network import SetSizes
 from agents.run_folder import CHECKPOINT, check_layers, read_tensors, write_tensors
 from agents.selector import load_selector
-from agents.subsets import MOST_SLOTS, SubsetNetwork, SubsetSelector
+from agents.subsets import MOST_SLOTS, SubsetNetwork, SubsetSelector, SubsetSizes
 from agents.training import bank_folders, begun, training_source
 from amusic_gym.policy import Selector
 from amusic_gym.sources import BankLike, RouteSource
@@ -125,7 +124,7 @@ class PolicyIteration:
             )
         self.settings: RolloutConfig = config.rollouts
         self.source = source
-        self.records = Records(out, config, [], "subsets", SetSizes())
+        self.records = Records(out, config, [], "subsets", SubsetSizes())
         self.held_out = HeldOut(config.held_out, config.statistic)
         self.policy: SubsetSelector | None = None
         self.seen: list[Samples] = []  # of the last iterations
@@ -149,7 +148,7 @@ class PolicyIteration:
         self.seen = [*self.seen, collectors.collect(self.policy, rng, bar)]
         self.seen = self.seen[-self.settings.kept :]
         torch.manual_seed(int(rng.integers(2**31)))
-        network = SubsetNetwork(SetSizes())
+        network = SubsetNetwork(SubsetSizes())
         loss = learn(network, self.seen, self.settings, rng)
         self.policy = SubsetSelector(network, self.config.statistic, self.config.environment())
         self.done += 1
@@ -181,7 +180,7 @@ class PolicyIteration:
         if not path.exists():  # stopped within the first iteration
             return
         tensors, metadata = read_tensors(path)
-        network = SubsetNetwork(SetSizes())
+        network = SubsetNetwork(SubsetSizes())
         prefix = "network."
         weights = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
         check_layers(path, weights, network.state_dict())
@@ -345,7 +344,7 @@ def _collect_part(seed: int, weights: dict[str, NDArray[np.float32]] | None) -> 
     config: TrainingConfig = _worker["config"]
     policy = None
     if weights is not None:
-        network = SubsetNetwork(SetSizes())
+        network = SubsetNetwork(SubsetSizes())
         network.load_state_dict({name: torch.from_numpy(w) for name, w in weights.items()})
         policy = SubsetSelector(network, config.statistic, config.environment())
     return collect(_worker["env"], policy, config.rollouts, np.random.default_rng(seed))
@@ -457,17 +456,17 @@ def learn(
             order = torch.from_numpy(rng.permutation(len(subsets)))
         batch = order[step % batches :: batches]
         optimiser.param_groups[0]["lr"] = settings.learning_rate * (1.0 - step / steps)
-        values_of = network.values(observations[batch])  # (b, 2^S, 2)
-        index = subsets[batch].unsqueeze(2).expand(-1, -1, 2)
-        error = centred(values_of.gather(1, index)) - target[batch]
-        loss = 100.0 * (error**2).mean()
+        values_of = network.values(observations[batch])  # (E, b, 2^S, 2)
+        index = subsets[batch].unsqueeze(2).expand(len(values_of), -1, -1, 2)
+        error = centred(values_of.gather(2, index)) - target[batch]
+        loss = 100.0 * (error**2).mean((1, 2, 3)).sum()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         losses[step] = loss.detach()
-    return float(losses[-batches:].mean())
+    return float(losses[-batches:].mean()) / len(network.ensemble)
 
 
 def centred(values: torch.Tensor) -> torch.Tensor:
-    """Values (n, B, 2) less their mean over the subsets."""
-    return values - values.mean(1, keepdim=True)
+    """Values (..., B, 2) less their mean over the subsets."""
+    return values - values.mean(-2, keepdim=True)

@@ -7,6 +7,7 @@ on their order, and the same weights serve any number of techniques.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -56,10 +57,19 @@ def valid(present: torch.Tensor, idle: bool = False) -> torch.Tensor:
     return allowed
 
 
-class SubsetNetwork(nn.Module):
-    """Ratings (B, A) of subsets from observations (B, D); absent members count nothing.
+@dataclass(frozen=True)
+class SubsetSizes(SetSizes):
+    """Sizes of the network, and how many of it there are.
 
-    A rating is the correctness that is to be expected, less λ times the compute.
+    Attributes:
+        ensemble: networks whose values are averaged.
+    """
+
+    ensemble: int = 4
+
+
+class SubsetValues(nn.Module):
+    """Expected correctness and compute (B, A, 2) of subsets from observations (B, D).
 
     Args:
         sizes: of the layers.
@@ -73,17 +83,35 @@ class SubsetNetwork(nn.Module):
         self.value = nn.Linear(sizes.hidden, 2)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """(B, A) ratings."""
-        correctness, compute = self.values(observation).unbind(2)
-        return correctness - compute_weight(observation).unsqueeze(1) * compute
-
-    def values(self, observation: torch.Tensor) -> torch.Tensor:
-        """(B, A, 2) expected correctness and compute of each subset."""
+        """(B, A, 2); absent members count nothing."""
         codes, pool = self.encoder(observation)
         member = members(codes.shape[1]).float()  # (A, S)
         sums = torch.einsum("as,bsh->bah", member, self.member(codes))  # (B, A, H)
         values: torch.Tensor = self.value(torch.relu(sums + self.whole(pool).unsqueeze(1)))
         return values
+
+
+class SubsetNetwork(nn.Module):
+    """Ratings (B, A) of subsets from observations (B, D), by an ensemble.
+
+    A rating is the correctness that is to be expected, less λ times the compute.
+
+    Args:
+        sizes: of the layers, and the ensemble's.
+    """
+
+    def __init__(self, sizes: SubsetSizes) -> None:
+        super().__init__()
+        self.ensemble = nn.ModuleList(SubsetValues(sizes) for _ in range(sizes.ensemble))
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        """(B, A) ratings."""
+        correctness, compute = self.values(observation).mean(0).unbind(2)
+        return correctness - compute_weight(observation).unsqueeze(1) * compute
+
+    def values(self, observation: torch.Tensor) -> torch.Tensor:
+        """(E, B, A, 2) expected correctness and compute of each subset, by each of the ensemble."""
+        return torch.stack([values(observation) for values in self.ensemble])
 
 
 def compute_weight(observation: torch.Tensor) -> torch.Tensor:
@@ -107,4 +135,4 @@ class SubsetSelector(NetworkSelector[SubsetNetwork]):
         return members(present.shape[1])[ratings.argmax(1)].numpy()
 
 
-KIND = Kind("subsets", SetSizes, SubsetNetwork, SubsetSelector)
+KIND = Kind("subsets", SubsetSizes, SubsetNetwork, SubsetSelector)

@@ -31,12 +31,15 @@ UNCALIBRATED = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
 
 
 def coefficients(statistic: str) -> NDArray[np.float64]:
-    """Coefficients (5,) of the calibration for a statistic.
+    """Coefficients of the calibration for a statistic: (11,) for SIC's, (5,) for the belief.
 
-    ``mean`` and ``evidence``: logit p̂ = b₀ + b₁s + b₂t + b₃h + b₄u + b₅m where the fused winner has
-    a rival beyond the tolerance, and b₆ + b₇s + b₈t where it has none. Here s = asinh(statistic),
-    discounted, m = asinh(margin), and t = log(1 + frames in a row on which the prediction moved on
-    by one place). h ∈ [0, 1] is how much another technique has a say, u how much one says the same
+    ``mean`` and ``evidence``: logit p̂ = b₀ + b₁s + b₂t + b₃r + b₄h + b₅u + b₆m where the fused
+    winner has a margin over a rival beyond the tolerance, and b₇ + b₈s + b₉t + b₁₀r where it has
+    none. Here s = asinh(statistic), discounted, m = asinh(margin), and t = log(1 + frames in a row
+    on which the prediction moved on by one place). r = asinh of the running mean, over the runs of
+    the technique trusted, of the z-score of the prediction in its rows: the statistic remembers
+    the whole drive, r what rows say of late, for instance that the robot has left the map.
+    h ∈ [0, 1] is how much another technique has a say, u how much one says the same
     (``weigh_others`` in :mod:`amusic_gym.dynamics`).
 
     ``belief``: logit p̂ = b₀ + b₁s + b₂m + b₃l + b₄a. Here s is the log-odds of the belief within
@@ -49,17 +52,21 @@ def coefficients(statistic: str) -> NDArray[np.float64]:
 
 
 def design(
-    statistic: ArrayLike, track: ArrayLike, rivals: tuple[ArrayLike, ArrayLike, ArrayLike] | None
+    statistic: ArrayLike,
+    track: ArrayLike,
+    recent: ArrayLike,
+    rivals: tuple[ArrayLike, ArrayLike, ArrayLike] | None,
 ) -> NDArray[np.float64]:
-    """Inputs of SIC's logit: (n, 6) where there are rivals, (n, 3) where there are none.
+    """Inputs of SIC's logit: (n, 7) where there are rivals, (n, 4) where there are none.
 
     Args:
         statistic: (n,) of the fused winner, discounted.
         track: (n,) frames in a row on which the prediction moved on by one place.
+        recent: (n,) running mean of the z-scores that the technique trusted gave the predictions.
         rivals: how much others have a say, and say the same, in [0, 1], and the margin, each (n,).
     """
     s, t = np.arcsinh(np.asarray(statistic, np.float64)), np.log1p(np.asarray(track, np.float64))
-    columns = [np.ones_like(s), s, t]
+    columns = [np.ones_like(s), s, t, np.arcsinh(np.asarray(recent, np.float64))]
     if rivals is not None:
         heard, support, margin = (np.asarray(given, np.float64) for given in rivals)
         columns += [heard, support, np.arcsinh(margin)]

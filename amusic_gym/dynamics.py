@@ -28,8 +28,12 @@ from amusic_gym.sic import (
     weigh,
 )
 
-IDLE_DECAY = 0.9
-"""Factor on p̂ and confidence per frame on which nothing ran."""
+IDLE_DECAY = 0.998
+"""Factor on p̂ and confidence per frame on which nothing ran.
+
+An assumption about the robot, not a fit: where it moves on by exactly one place per frame, nothing
+decays.
+"""
 
 SUPPORT_MEMORY = 0.98
 """Factor per frame on what a technique's last match counts for or against the prediction."""
@@ -185,17 +189,6 @@ def logit_of(probability: float) -> float:
 
 
 @inner
-def estimate(b: Any, route: Any, statistic: float, has_rival: bool) -> float:
-    """Logit of p̂ of the prediction, with coefficients ``b``: see amusic_gym.calibration."""
-    first = 0 if has_rival else 6
-    logit: float = b[first] + b[first + 1] * math.asinh(statistic)
-    logit += b[first + 2] * math.log1p(10.0 * route.track)
-    if has_rival:
-        logit += b[3] * route.heard + b[4] * route.support + b[5] * math.asinh(route.margin)
-    return min(max(logit, -30.0), 30.0)
-
-
-@inner
 def weigh_others(state: State, i: int, chosen: int, frame: int) -> None:
     """Ask the other techniques than the chosen one of the prediction.
 
@@ -243,8 +236,12 @@ def arrive(route: Any, place: int) -> None:
 
 
 @inner
-def fuse(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
-    """Trust the technique of the highest statistic (MuSIC, III-B) and estimate correctness."""
+def fuse(state: State, i: int, frame: int, out: Outcome) -> bool:
+    """Trust the technique of the highest statistic (MuSIC, III-B).
+
+    Returns:
+        Whether a candidate beyond the tolerance stands against the prediction.
+    """
     slots, route = state.slots[i], state.routes[i]
     chosen = trust_highest(state, i, out)
     place = slots[chosen].place
@@ -257,13 +254,25 @@ def fuse(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None:
             top = top_at(state.runs[i, s], frame)
             best = best_rival(state.values[s], top, state.carried[s], place, route.tolerance)
         rival = max(rival, best * slots[s].discount)
-    has_rival = rival > -math.inf
     arrive(route, place)
-    discounted = slots[chosen].statistic * slots[chosen].discount
     route.confidence = slots[chosen].statistic
-    route.margin = discounted - rival if has_rival else 0.0
+    discounted = slots[chosen].statistic * slots[chosen].discount
+    route.margin = discounted - rival if rival > -math.inf else 0.0
     weigh_others(state, i, chosen, frame)
-    route.logit = estimate(rules.calibration, route, discounted, has_rival)
+    return rival > -math.inf
+
+
+@inner
+def estimate(state: State, rules: Rules, i: int, has_rival: bool, out: Outcome) -> None:
+    """Estimate the correctness p̂ of the prediction: see amusic_gym.calibration."""
+    route, slot, b = state.routes[i], state.slots[i, out.routes[i].technique], rules.calibration
+    first = 0 if has_rival else 7
+    logit = b[first] + b[first + 1] * math.asinh(slot.statistic * slot.discount)
+    logit += b[first + 2] * math.log1p(10.0 * route.track)
+    logit += b[first + 3] * math.asinh(slot.support_mean)
+    if has_rival:
+        logit += b[4] * route.heard + b[5] * route.support + b[6] * math.asinh(route.margin)
+    route.logit = min(max(logit, -30.0), 30.0)
     route.p_correct = sigmoid(route.logit)
 
 
@@ -363,7 +372,6 @@ def finish(state: State, rules: Rules, i: int, frame: int, out: Outcome) -> None
     route = state.routes[i]
     if out.routes[i].idle:
         out.routes[i].technique = -1
-    relate(state, rules, i, frame)
     chosen = out.routes[i].technique
     out.routes[i].similarity = state.slots[i, chosen].support if chosen >= 0 else 0.0
     route.frame = frame
@@ -451,10 +459,14 @@ def step_routes(address: int, stages: int) -> int:
             if active[i]:
                 frame = state.routes[i].frame + 1
                 correct_techniques(state, rules, i, frame, out)
-                if out.routes[i].idle:
+                idle, has_rival = out.routes[i].idle, False
+                if idle:
                     coast(state.routes[i])
                 else:
-                    fuse(state, rules, i, frame, out)
+                    has_rival = fuse(state, i, frame, out)
+                relate(state, rules, i, frame)
+                if not idle:
+                    estimate(state, rules, i, has_rival, out)
                 finish(state, rules, i, frame, out)
     return show(state, active, out) if stages & SHOW else 0
 
@@ -475,5 +487,6 @@ def step_beliefs(address: int, stages: int) -> int:
                 frame = state.routes[i].frame + 1
                 recall_techniques(state, i, frame, out)
                 believe(state, rules, i, out)
+                relate(state, rules, i, frame)
                 finish(state, rules, i, frame, out)
     return show(state, active, out) if stages & SHOW else 0

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,16 @@ from amusic_gym.trace import write_whole
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 RATES = (0.05, 0.1, 0.3, 0.6, 1.0)  # shares of the techniques that run on a frame
-SIC_INPUTS = ("confidence", "discount", "track", "heard", "support", "margin")
+OF_TRUSTED = ("discount", "support_mean")  # of the technique trusted, the others of the route
+SIC_INPUTS = ("confidence", "discount", "track", "support_mean", "heard", "support", "margin")
 BELIEF_INPUTS = ("confidence", "margin", "said", "said_mean")
+
+LEAVES = 0.07
+"""Share of SIC's routes that leave the map.
+
+A place that is carried on while nothing confirms it may be right, at night, or wrong, off the map:
+the more routes leave it, the less is believed of either.
+"""
 
 Samples = tuple[NDArray[np.float64], NDArray[np.bool_]]
 Actions = Callable[[], NDArray[np.bool_]]
@@ -35,7 +44,7 @@ def collect(banks: list[ScoreBank], statistic: str, candidates: int, act: Action
     """What p̂ is made of, and correctness, of every frame of the banks under some activity.
 
     Returns:
-        (n, 6) ``SIC_INPUTS``, or for the belief (n, 4) ``BELIEF_INPUTS``. And (n,) bool.
+        (n, 7) ``SIC_INPUTS``, or for the belief (n, 4) ``BELIEF_INPUTS``. And (n,) bool.
     """
     slots = max(len(bank.techniques) for bank in banks)
     env = TechniqueSelectionVectorEnv(
@@ -53,8 +62,8 @@ def collect(banks: list[ScoreBank], statistic: str, candidates: int, act: Action
         for i, bank in enumerate(banks):
             if frame < bank.queries:
                 known, slots_of = episodes.state.routes[i], episodes.state.slots[i]
-                discount = slots_of["discount"][slots_of["chosen"] > 0].sum()
-                inputs.append([discount if n == "discount" else known[n] for n in names])
+                trusted = slots_of[slots_of["chosen"] > 0]
+                inputs.append([trusted[n].sum() if n in OF_TRUSTED else known[n] for n in names])
                 correct.append(bank.truth.is_true(int(known["prediction"]), frame))
     return np.array(inputs, np.float64), np.array(correct)
 
@@ -63,9 +72,8 @@ def sic_fit(samples: Samples, *, rival: bool) -> list[float]:
     """Coefficients of SIC's logit from the frames on which the winner has a rival, or has none."""
     inputs, correct = samples
     wanted = (inputs[:, -1] != 0.0) == rival
-    confidence, discount, tens, heard, support, margin = inputs[wanted].T
-    others = (heard, support, margin) if rival else None
-    made = design(confidence * discount, 10.0 * tens, others)
+    confidence, discount, tens, recent, *others = inputs[wanted].T
+    made = design(confidence * discount, 10.0 * tens, recent, tuple(others) if rival else None)
     found: list[float] = np.round(fit(made, correct[wanted]), 4).tolist()
     return found
 
@@ -117,7 +125,10 @@ def main(arguments: list[str] | None = None) -> None:
     table["coefficients"] |= stored()["coefficients"]
     for statistic in given.statistic:
         seeds = [[given.seed, i] for i in range(given.routes)]
-        banks = [population(statistic).route(np.random.default_rng(seed)) for seed in seeds]
+        routes = population(statistic)
+        if statistic != "belief":
+            routes = replace(routes, leaves=LEAVES)
+        banks = [routes.route(np.random.default_rng(seed)) for seed in seeds]
         table["coefficients"][statistic] = calibrate(banks, statistic, given.seed)
         print(statistic, table["coefficients"][statistic])
     write_whole(given.out, (json.dumps(table, indent=1) + "\n").encode())

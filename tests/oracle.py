@@ -288,7 +288,8 @@ def margin(result: Music, tolerance: int) -> float | None:
 # ------------------------------------------------------------------- estimated correctness: p̂
 
 
-IDLE_DECAY = 0.9
+IDLE_DECAY = 0.998
+SMOOTHING = 0.2
 SUPPORT_MEMORY = 0.98
 
 
@@ -343,28 +344,41 @@ def tracks(predictions: Sequence[int]) -> list[int]:
     return found
 
 
+def recent(z: Numbers, ran: Sequence[Sequence[bool]], route: Route) -> float:
+    """Running mean of the z-scores that the technique trusted last gave the predictions.
+
+    `ran` (Q, T) is what ran on each frame so far, the last of them that of the prediction.
+    """
+    mean, technique = 0.0, route.chosen[-1]
+    for frame, place in enumerate(route.predictions):
+        if ran[frame][technique]:
+            mean += SMOOTHING * (z[technique][frame][place] - mean)
+    return mean
+
+
 def p_correct(
-    b: Numbers, statistic: float, track: int, said: Others, margin: float | None
+    b: Numbers, statistic: float, track: int, late: float, said: Others, margin: float | None
 ) -> float:
     """p̂ of a fused match of that discounted statistic; no margin where there is no rival."""
-    inputs = [1.0, np.arcsinh(statistic), np.log1p(track)]
+    inputs = [1.0, np.arcsinh(statistic), np.log1p(track), np.arcsinh(late)]
     if margin is None:
-        logit = np.dot(b[6:9], inputs)
+        logit = np.dot(b[7:11], inputs)
     else:
-        logit = np.dot(b[:6], [*inputs, *said, np.arcsinh(margin)])
+        logit = np.dot(b[:7], [*inputs, *said, np.arcsinh(margin)])
     return float(1.0 / (1.0 + np.exp(-np.clip(logit, -30.0, 30.0))))
 
 
 def p_corrects(b: Numbers, route: Route, tolerance: int) -> list[float]:
     """p̂ of every frame of a route."""
     found, p = [], 0.0
-    steps = zip(route.results, tracks(route.predictions), route.others, strict=True)
-    for result, track, said in steps:
+    track = tracks(route.predictions)
+    steps = zip(route.results, track, route.recents, route.others, strict=True)
+    for result, moved, late, said in steps:
         if result is None:
             p *= IDLE_DECAY
         else:
             statistic = result.compared(result.technique, result.confidence)
-            p = p_correct(b, statistic, track, said, margin(result, tolerance))
+            p = p_correct(b, statistic, moved, late, said, margin(result, tolerance))
         found.append(p)
     return found
 
@@ -394,6 +408,7 @@ class Route:
     ran: list[list[bool]] = field(default_factory=list)  # (Q, T) on the frame itself
     selections: list[Selection] = field(default_factory=list)
     results: list[Music | None] = field(default_factory=list)  # MuSIC's, None where nothing ran
+    recents: list[float] = field(default_factory=list)  # what rows said of late
     others: list[Others] = field(default_factory=list)  # what the others said of the prediction
     p_values: dict[int, float] = field(default_factory=dict)  # frame after the block -> p
 

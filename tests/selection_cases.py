@@ -107,6 +107,7 @@ def follow(
             route.similarities.append(0.0)
             route.chosen.append(-1)
             route.results.append(None)
+            route.recents.append(0.0)
             route.others.append(oracle.Others())
             continue
         result = oracle.music(scores, exists, q, *settings, memory)
@@ -116,5 +117,6 @@ def follow(
         route.similarities.append(z[result.technique][q][result.place])
         route.chosen.append(result.technique)
         route.results.append(result)
+        route.recents.append(oracle.recent(z, route.ran, route))
         route.others.append(oracle.others(route.results, z, memory, bank.tolerance))
     return route

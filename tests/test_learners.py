@@ -25,10 +25,10 @@ from agents.learners.reselect import (
     ReselectSelector,
     ReselectSizes,
 )
-from agents.network import PRESENT, ROUTE_WIDTH, WIDTH, SetSizes
+from agents.network import PRESENT, ROUTE_WIDTH, WIDTH
 from agents.run_folder import CHECKPOINT, SELECTOR, read_tensors
 from agents.selector import load_selector
-from agents.subsets import SubsetNetwork, SubsetSelector
+from agents.subsets import SubsetNetwork, SubsetSelector, SubsetSizes
 from agents.training import make_model, train
 from amusic_gym.bank import ScoreBank
 from amusic_gym.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
@@ -195,11 +195,22 @@ def test_of_many_techniques_subsets_of_at_most_two_are_rated():
 
 def subset_network() -> SubsetNetwork:
     torch.manual_seed(1)
-    network = SubsetNetwork(SetSizes(hidden=16, encoding=8))
+    network = SubsetNetwork(SubsetSizes(hidden=16, encoding=8, ensemble=2))
     with torch.no_grad():  # ratings that differ, as they do after training
-        network.member.weight.mul_(10.0)
-        network.value.weight.mul_(10.0)
+        for values in network.ensemble:
+            values.member.weight.mul_(10.0)
+            values.value.weight.mul_(10.0)
     return network
+
+
+@torch.no_grad()
+def test_ratings_are_the_means_over_the_ensemble_less_the_price_of_the_compute():
+    network, seen = subset_network(), observations(np.random.default_rng(0), 4, 3)
+    first, second = (values(seen) for values in network.ensemble)
+    assert (first - second).abs().min() > 0.0
+    correctness, compute = ((first + second) / 2.0).unbind(2)
+    wanted = correctness - subsets.compute_weight(seen).unsqueeze(1) * compute
+    torch.testing.assert_close(network(seen), wanted)
 
 
 @torch.no_grad()

@@ -24,7 +24,7 @@ from agents.config import (
     training_config,
 )
 from agents.evaluation import HeldOut
-from agents.network import PRESENT, ROUTE_WIDTH, WIDTH, SetSizes
+from agents.network import PRESENT, ROUTE_WIDTH, WIDTH
 from agents.policy_iteration import (
     PACE,
     Behaviour,
@@ -37,7 +37,14 @@ from agents.policy_iteration import (
 )
 from agents.run_folder import CHECKPOINT, CONFIG, EVALUATIONS, SELECTOR, write_tensors
 from agents.selector import load_selector
-from agents.subsets import SubsetNetwork, SubsetSelector, compute_weight, members, valid
+from agents.subsets import (
+    SubsetNetwork,
+    SubsetSelector,
+    SubsetSizes,
+    compute_weight,
+    members,
+    valid,
+)
 from agents.training import make_model
 from amusic_gym.bank import ScoreBank
 from amusic_gym.env import TechniqueSelectionEnv
@@ -269,11 +276,12 @@ def test_the_policy_drives_its_share():
 def changeable(statistic: str = STATISTIC) -> SubsetSelector:
     """A policy that runs different subsets from frame to frame."""
     torch.manual_seed(1)
-    network = SubsetNetwork(SetSizes(hidden=16, encoding=8))
+    network = SubsetNetwork(SubsetSizes(hidden=16, encoding=8, ensemble=2))
     with torch.no_grad():
-        network.member.weight.mul_(10.0)
-        network.value.weight.mul_(10.0)
-        network.encoder.layers[0].weight.mul_(5.0)
+        for values in network.ensemble:
+            values.member.weight.mul_(10.0)
+            values.value.weight.mul_(10.0)
+            values.encoder.layers[0].weight.mul_(5.0)
     return SubsetSelector(network, statistic)
 
 
@@ -397,9 +405,10 @@ def fitted(
 ) -> tuple[SubsetNetwork, float]:
     """The network, which begins with values that much higher, and the loss."""
     torch.manual_seed(0)
-    network = SubsetNetwork(SetSizes())
+    network = SubsetNetwork(SubsetSizes(ensemble=2))
     with torch.no_grad():
-        network.value.bias.add_(level)
+        for values in network.ensemble:
+            values.value.bias.add_(level)
     return network, learn(network, samples, settings, np.random.default_rng(0))
 
 
@@ -413,7 +422,7 @@ def test_values_are_recovered_and_the_right_technique_runs_alone():
     assert actions[np.arange(len(good)), good].mean() > 0.98
     assert alone[(weights > 0.5) & (weights < 5.0)].mean() > 0.98
     with torch.no_grad():
-        values = network.values(torch.from_numpy(unseen.observations)).numpy()
+        values = network.values(torch.from_numpy(unseen.observations)).mean(0).numpy()
     for k, wanted in enumerate((unseen.correctness, unseen.compute)):
         found = np.take_along_axis(values[..., k], unseen.subsets, 1)
         error = (found - found.mean(1, keepdims=True)) - (wanted - wanted.mean(1, keepdims=True))
@@ -589,9 +598,9 @@ def test_damaged_checkpoints_are_refused(whole, tmp_path, damage):
     run, tensors, metadata = copied(whole, tmp_path / "run")
     path = run / CHECKPOINT
     if damage == "layer":
-        tensors["network.value.bias"] = torch.zeros(3)
+        tensors["network.ensemble.0.value.bias"] = torch.zeros(3)
     elif damage == "nan":
-        tensors["network.value.bias"][0] = torch.nan
+        tensors["network.ensemble.0.value.bias"][0] = torch.nan
     elif damage == "seen":
         del tensors["seen.1.subsets"]
     elif damage == "shorter":

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from amusic_gym.bank import ScoreBank
+from amusic_gym.policy import Context
+from amusic_gym.rollout import rollout
 from amusic_gym.routes.descriptors import BLOCK, smooth, write_scores
 from amusic_gym.routes.motion import MOTIONS
 from amusic_gym.routes.simulate import Simulation, planted, simulate
 from amusic_gym.routes.statistics import MEASURES, describe
 from amusic_gym.routes.world import World, decoys, no_repeats, repeated_places
 from amusic_gym.settings import STATISTICS
+from baselines import make_policy
 
 # Everything that could blur what a test looks at, off.
 PLAIN = Simulation(
@@ -316,6 +319,37 @@ def test_a_copy_sees_what_the_technique_before_it_sees() -> None:
     assert 0.15 < np.mean(equal) < 0.45
 
 
+def test_a_route_that_leaves_the_map_has_no_true_place_and_looks_like_none_from_there_on() -> None:
+    for seed in range(5):
+        bank = simulate(seed, simulation=replace(PLAIN, leaves=1.0), references=300)
+        on_map = bank.truth.has_place
+        left = int(on_map.sum())
+        assert 100 <= left < 300
+        assert on_map[:left].all()
+        first = centres(bank)[0]
+        z = (bank.scores - bank.scores.mean(2, keepdims=True)) / bank.scores.std(2, keepdims=True)
+        diagonal = z[:, np.arange(300), np.minimum(first + np.arange(300), 299)]
+        assert diagonal[:, :left].mean() > 1.0
+        assert abs(diagonal[:, left:].mean()) < 0.5
+
+
+def test_on_leaving_the_map_p_falls() -> None:
+    """Of what the carried place, which goes on as before, is believed."""
+    routes = [simulate(seed, simulation=replace(PLAIN, leaves=1.0)) for seed in range(8)]
+    sure = {}
+    for route in routes:
+        trace = rollout(
+            make_policy("music", Context.of(route, statistic="evidence")), route, name="music"
+        )
+        on_map = route.truth.has_place
+        since = np.cumsum(~on_map)
+        sure.setdefault("on", []).append(trace.p_correct[on_map][10:])
+        sure.setdefault("off", []).append(trace.p_correct[since > 20])
+    on, off = (np.concatenate(sure[name]) for name in ("on", "off"))
+    assert np.mean(on > 0.9) > 0.9
+    assert np.mean(off > 0.9) < 0.2
+
+
 def test_a_trend_makes_far_places_alike() -> None:
     alike = []
     for trend in (0.0, 0.7):
@@ -331,7 +365,7 @@ def test_a_trend_makes_far_places_alike() -> None:
     assert alike[1] > alike[0] + 0.3
 
 
-@pytest.mark.parametrize("name", ["decoy", "decoy_shared", "copies"])
+@pytest.mark.parametrize("name", ["decoy", "decoy_shared", "copies", "leaves"])
 def test_shares_of_decoys_and_copies_are_refused_out_of_range(name: str) -> None:
     with pytest.raises(ValueError, match=name):
         Simulation(**{name: 1.5})

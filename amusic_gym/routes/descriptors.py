@@ -104,7 +104,13 @@ def write_scores(
         lure = np.square(world.lure[technique])[:, None]  # (Q, 1)
         noise = _mix(noise, _between(places, world.decoy[technique]), lure)
     level = competence[world.condition][:, None]  # (Q, 1)
-    seen = _mix(noise, _between(places, world.seen), np.square(level))
+    met = _between(places, world.seen)
+    if world.leaves is not None:
+        off = queries - world.leaves
+        met = np.concatenate(
+            [met[: world.leaves], smooth(rng, off, size, look.smoothness, look.grain)]
+        )
+    seen = _mix(noise, met, np.square(level))
     seen += shift[world.condition]
     places += (look.base + look.bland * world.bland)[:, None] * common
     _compare(_unit(seen), _unit(places), look, out)

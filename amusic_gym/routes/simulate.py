@@ -88,7 +88,7 @@ LIMITS: dict[str, Range] = {
 _SHARES = (
     *("same_length", "ability_spread", "useless", "all_fail", "all_good", "exclusive"),
     *("cost_follows_ability", "speed_change", "jump", "retimed", "hubs"),
-    *("decoy", "decoy_shared", "copies"),
+    *("decoy", "decoy_shared", "copies", "leaves"),
 )
 _INTEGERS = ("queries", "techniques", "conditions", "dimensions")
 
@@ -129,6 +129,8 @@ class Simulation:
     seconds: Range = (0.02, 2.0)  # cost of one run, log-uniform
     cost_follows_ability: float = 0.3  # correlation of the ranks of cost and mean competence
     copies: float = 0.0  # chance that a technique sees exactly what the one before it sees
+
+    leaves: float = 0.0  # share of routes that leave the map after a third or more of the frames
 
     # What a route looks like
     alias_density: float = 0.6  # repeated segments per 100 places
@@ -193,6 +195,9 @@ class Simulation:
         competence, condition, spell = self._conditions(rng, techniques, queries)
         place = self._drive(rng, queries, references)
         decoy, lure = self._decoys(rng, place, spell, references, techniques)
+        leaves = None
+        if self.leaves and rng.random() < self.leaves:
+            leaves = int(rng.integers(queries // 3, queries))
         world = World(
             place=place,
             seen=self._seen(rng, place, references),
@@ -202,6 +207,7 @@ class Simulation:
             bland=bland_places(rng, references, self.bland_density, self.bland_length, self.hubs),
             decoy=decoy,
             lure=lure,
+            leaves=leaves,
         )
         seconds = self._seconds(rng, competence[:, condition].mean(axis=1))
         looks = [self._look(rng) for _ in range(techniques)]
@@ -495,12 +501,14 @@ def _bank(
             scores[t] = scores[t - 1]
         else:
             write_scores(rng, world, look, t, scores[t])
+    truth = np.floor(world.place + 0.5).astype(np.int64).clip(0, references - 1)
+    truth[world.leaves if world.leaves is not None else queries :] = -1
     return ScoreBank(
         scores,
         TECHNIQUE_NAMES[: len(looks)],
         seconds,
         tolerance=tolerance,
-        ground_truth=np.floor(world.place + 0.5).astype(np.int64).clip(0, references - 1),
+        ground_truth=truth,
         name=name,
         source="simulated",
     )

@@ -25,6 +25,7 @@ class World:
     bland: Floats  # (R,) +1 hub, -1 void, 0 neither
     decoy: NDArray[np.float64] | None = None  # (T, Q) a wrong position that images look like, too
     lure: NDArray[np.float64] | None = None  # (T, Q) how much of the noise looks like it, 0 .. 1
+    leaves: int | None = None  # frame from which on the robot is off the map
 
 
 def decoys(
