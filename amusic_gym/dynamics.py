@@ -38,6 +38,9 @@ decays.
 SUPPORT_MEMORY = 0.98
 """Factor per frame on what a technique's last match counts for or against the prediction."""
 
+RECENT_SMOOTHING = 0.1
+"""Weight of the newest frame in the running mean of the similarity, which p̂ is made of."""
+
 DOUBT = 0.5
 """A frame with p̂ below this is one of doubt."""
 
@@ -266,14 +269,15 @@ def fuse(state: State, i: int, frame: int, out: Outcome) -> bool:
 def estimate(state: State, rules: Rules, i: int, has_rival: bool, out: Outcome) -> None:
     """Estimate the correctness p̂ of the prediction: see amusic_gym.calibration."""
     route, slot, b = state.routes[i], state.slots[i, out.routes[i].technique], rules.calibration
-    first = 0 if has_rival else 7
-    logit = b[first] + b[first + 1] * math.asinh(slot.statistic * slot.discount)
-    logit += b[first + 2] * math.log1p(10.0 * route.track)
-    logit += b[first + 3] * math.asinh(slot.support_mean)
+    first, late = (0, 6) if has_rival else (8, 11)
+    drive = b[first] + b[first + 1] * math.asinh(slot.statistic * slot.discount)
+    drive += b[first + 2] * math.log1p(10.0 * route.track)
     if has_rival:
-        logit += b[4] * route.heard + b[5] * route.support + b[6] * math.asinh(route.margin)
-    route.logit = min(max(logit, -30.0), 30.0)
-    route.p_correct = sigmoid(route.logit)
+        drive += b[3] * route.heard + b[4] * route.support + b[5] * math.asinh(route.margin)
+    route.recent += RECENT_SMOOTHING * (slot.support - route.recent)
+    recent = b[late] + b[late + 1] * math.asinh(route.recent)
+    route.p_correct = sigmoid(drive) * sigmoid(recent)
+    route.logit = logit_of(route.p_correct)
 
 
 @inner

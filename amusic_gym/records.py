@@ -42,6 +42,7 @@ ROUTE = np.dtype(
         ("p_correct_mean", np.float64),
         ("continues", np.float64),  # 1 if the prediction moved on by one place
         ("track", np.float64),  # tens of frames in a row on which it did
+        ("recent", np.float64),  # running mean of the similarity where something ran
         ("heard", np.float64),  # how much another technique than the chosen one has a say
         ("support", np.float64),  # ... and says the same
         ("logit", np.float64),  # of p_correct

@@ -18,18 +18,26 @@ from numpy.typing import NDArray
 
 from amusic_gym import __version__
 from amusic_gym.bank import ScoreBank
-from amusic_gym.calibration import FILE, UNCALIBRATED, belief_design, design, fit, stored
+from amusic_gym.calibration import (
+    FILE,
+    UNCALIBRATED,
+    belief_design,
+    design,
+    fit,
+    fit_product,
+    recent_design,
+    stored,
+)
 from amusic_gym.routes.simulate import population
 from amusic_gym.settings import STATISTICS
 from amusic_gym.trace import write_whole
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 RATES = (0.05, 0.1, 0.3, 0.6, 1.0)  # shares of the techniques that run on a frame
-OF_TRUSTED = ("discount", "support_mean")  # of the technique trusted, the others of the route
-SIC_INPUTS = ("confidence", "discount", "track", "support_mean", "heard", "support", "margin")
+SIC_INPUTS = ("confidence", "discount", "track", "recent", "heard", "support", "margin")
 BELIEF_INPUTS = ("confidence", "margin", "said", "said_mean")
 
-LEAVES = 0.07
+LEAVES = 0.12
 """Share of SIC's routes that leave the map.
 
 A place that is carried on while nothing confirms it may be right, at night, or wrong, off the map:
@@ -62,8 +70,8 @@ def collect(banks: list[ScoreBank], statistic: str, candidates: int, act: Action
         for i, bank in enumerate(banks):
             if frame < bank.queries:
                 known, slots_of = episodes.state.routes[i], episodes.state.slots[i]
-                trusted = slots_of[slots_of["chosen"] > 0]
-                inputs.append([trusted[n].sum() if n in OF_TRUSTED else known[n] for n in names])
+                discount = slots_of["discount"][slots_of["chosen"] > 0].sum()
+                inputs.append([discount if n == "discount" else known[n] for n in names])
                 correct.append(bank.truth.is_true(int(known["prediction"]), frame))
     return np.array(inputs, np.float64), np.array(correct)
 
@@ -73,8 +81,9 @@ def sic_fit(samples: Samples, *, rival: bool) -> list[float]:
     inputs, correct = samples
     wanted = (inputs[:, -1] != 0.0) == rival
     confidence, discount, tens, recent, *others = inputs[wanted].T
-    made = design(confidence * discount, 10.0 * tens, recent, tuple(others) if rival else None)
-    found: list[float] = np.round(fit(made, correct[wanted]), 4).tolist()
+    drive = design(confidence * discount, 10.0 * tens, tuple(others) if rival else None)
+    made = fit_product(drive, recent_design(recent), correct[wanted])
+    found: list[float] = np.round(made, 4).tolist()
     return found
 
 

@@ -289,7 +289,7 @@ def margin(result: Music, tolerance: int) -> float | None:
 
 
 IDLE_DECAY = 0.998
-SMOOTHING = 0.2
+RECENT_SMOOTHING = 0.1
 SUPPORT_MEMORY = 0.98
 
 
@@ -344,15 +344,12 @@ def tracks(predictions: Sequence[int]) -> list[int]:
     return found
 
 
-def recent(z: Numbers, ran: Sequence[Sequence[bool]], route: Route) -> float:
-    """Running mean of the z-scores that the technique trusted last gave the predictions.
-
-    `ran` (Q, T) is what ran on each frame so far, the last of them that of the prediction.
-    """
-    mean, technique = 0.0, route.chosen[-1]
-    for frame, place in enumerate(route.predictions):
-        if ran[frame][technique]:
-            mean += SMOOTHING * (z[technique][frame][place] - mean)
+def recent(similarities: Sequence[float], results: Sequence[Music | None]) -> float:
+    """Running mean of the similarity over the frames on which something ran."""
+    mean = 0.0
+    for similarity, result in zip(similarities, results, strict=True):
+        if result is not None:
+            mean += RECENT_SMOOTHING * (similarity - mean)
     return mean
 
 
@@ -360,12 +357,13 @@ def p_correct(
     b: Numbers, statistic: float, track: int, late: float, said: Others, margin: float | None
 ) -> float:
     """p̂ of a fused match of that discounted statistic; no margin where there is no rival."""
-    inputs = [1.0, np.arcsinh(statistic), np.log1p(track), np.arcsinh(late)]
+    drive = [1.0, np.arcsinh(statistic), np.log1p(track)]
     if margin is None:
-        logit = np.dot(b[7:11], inputs)
+        logits = [np.dot(b[8:11], drive), np.dot(b[11:13], [1.0, np.arcsinh(late)])]
     else:
-        logit = np.dot(b[:7], [*inputs, *said, np.arcsinh(margin)])
-    return float(1.0 / (1.0 + np.exp(-np.clip(logit, -30.0, 30.0))))
+        drive += [*said, np.arcsinh(margin)]
+        logits = [np.dot(b[:6], drive), np.dot(b[6:8], [1.0, np.arcsinh(late)])]
+    return float(np.prod(1.0 / (1.0 + np.exp(-np.clip(logits, -30.0, 30.0)))))
 
 
 def p_corrects(b: Numbers, route: Route, tolerance: int) -> list[float]:
@@ -408,7 +406,7 @@ class Route:
     ran: list[list[bool]] = field(default_factory=list)  # (Q, T) on the frame itself
     selections: list[Selection] = field(default_factory=list)
     results: list[Music | None] = field(default_factory=list)  # MuSIC's, None where nothing ran
-    recents: list[float] = field(default_factory=list)  # what rows said of late
+    recents: list[float] = field(default_factory=list)  # running mean of the similarity
     others: list[Others] = field(default_factory=list)  # what the others said of the prediction
     p_values: dict[int, float] = field(default_factory=dict)  # frame after the block -> p
 

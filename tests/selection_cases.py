@@ -117,6 +117,6 @@ def follow(
         route.similarities.append(z[result.technique][q][result.place])
         route.chosen.append(result.technique)
         route.results.append(result)
-        route.recents.append(oracle.recent(z, route.ran, route))
+        route.recents.append(oracle.recent(route.similarities, route.results))
         route.others.append(oracle.others(route.results, z, memory, bank.tolerance))
     return route

@@ -37,10 +37,10 @@ def log_odds(share: float) -> float:
 @pytest.mark.parametrize("statistic", STATISTICS)
 def test_coefficients_that_ship_are_as_many_as_the_formula_has(statistic):
     shipped = calibration.coefficients(statistic)
-    assert shipped.shape == ((5,) if statistic == "belief" else (11,))
+    assert shipped.shape == ((5,) if statistic == "belief" else (13,))
     assert np.isfinite(shipped).all()
-    surer = [1] if statistic == "belief" else [2, 3, 5, 6, 8, 9, 10]
-    assert (shipped[surer] > 0.0).all()  # track, recent, support, margin; statistic, track, recent
+    surer = [1] if statistic == "belief" else [2, 4, 5, 7, 9, 10, 12]
+    assert (shipped[surer] > 0.0).all()  # track, support, margin, recent; statistic, track, recent
 
 
 def test_the_estimate_of_the_belief_is_the_documented_one(bank):
@@ -84,33 +84,35 @@ def test_the_estimate_of_sic_is_the_documented_one(bank, statistic, carry):
             before = place
             known = env.task.episodes.state
             route = known.routes[0]
-            trusted = known.slots[0][info["technique"]]
-            statistic_, recent = info["confidence"] * trusted["discount"], trusted["support_mean"]
-            s, t, r = math.asinh(statistic_), math.log(1 + track), math.asinh(recent)
+            statistic_ = info["confidence"] * known.slots[0]["discount"][info["technique"]]
+            s, t, r = math.asinh(statistic_), math.log(1 + track), math.asinh(route["recent"])
             if rival:
                 h, u, m = route["heard"], route["support"], math.asinh(info["margin"])
                 assert 0.0 <= u <= h <= 1.0
-                logit = b[0] + b[1] * s + b[2] * t + b[3] * r + b[4] * h + b[5] * u + b[6] * m
+                drive = b[0] + b[1] * s + b[2] * t + b[3] * h + b[4] * u + b[5] * m
+                late = b[6] + b[7] * r
                 rivals = ([h], [u], [info["margin"]])
-                inputs, part = calibration.design([statistic_], [track], [recent], rivals), b[:7]
+                inputs, part = calibration.design([statistic_], [track], rivals), b[:8]
             else:
-                logit = b[7] + b[8] * s + b[9] * t + b[10] * r
-                inputs, part = calibration.design([statistic_], [track], [recent], None), b[7:]
-            assert info["p_correct"] == pytest.approx(1.0 / (1.0 + math.exp(-logit)))
-            assert calibration.logistic(inputs @ part)[0] == pytest.approx(info["p_correct"])
+                drive, late = b[8] + b[9] * s + b[10] * t, b[11] + b[12] * r
+                inputs, part = calibration.design([statistic_], [track], None), b[8:]
+            expected = 1.0 / (1.0 + math.exp(-drive)) / (1.0 + math.exp(-late))
+            assert info["p_correct"] == pytest.approx(expected)
+            both = [inputs @ part[:-2], calibration.recent_design([route["recent"]]) @ part[-2:]]
+            assert calibration.logistic(np.array(both)).prod() == pytest.approx(expected)
             seen.add((rival, round(info["p_correct"], 6)))
     assert min(sum(one[0] == rival for one in seen) for rival in (True, False)) >= 5
 
 
 def test_design_compresses_what_sic_gives():
     rivals = ([0.0, 0.75], [0.0, 0.5], [1.0, -3.0])
-    found = calibration.design([0.0, 2.0], [0, 7], [0.0, -0.5], rivals)
+    found = calibration.design([0.0, 2.0], [0, 7], rivals)
     expected = [
-        [1, 0, 0, 0, 0, 0, math.asinh(1)],
-        [1, math.asinh(2), math.log(8), math.asinh(-0.5), 0.75, 0.5, math.asinh(-3)],
+        [1, 0, 0, 0, 0, math.asinh(1)],
+        [1, math.asinh(2), math.log(8), 0.75, 0.5, math.asinh(-3)],
     ]
     np.testing.assert_allclose(found, expected)
-    np.testing.assert_allclose(calibration.design([2.0], [7], [-0.5], None), [expected[1][:4]])
+    np.testing.assert_allclose(calibration.design([2.0], [7], None), [expected[1][:3]])
 
 
 # ---- what the other techniques have to say -----------------------------------------------
@@ -204,9 +206,8 @@ def test_samples_are_those_of_single_routes_before_calibration(script, statistic
             info = env.step(np.ones(len(bank.techniques)))[4]
             mind = env.task.episodes.minds.minds[0, 0]
             known = env.task.episodes.state.routes[0]
-            trusted = env.task.episodes.state.slots[0][info["technique"]]
-            sample = [info["confidence"], trusted["discount"], known["track"]]
-            sample.append(trusted["support_mean"])
+            discount = env.task.episodes.state.slots[0]["discount"][info["technique"]]
+            sample = [info["confidence"], discount, known["track"], known["recent"]]
             sample += [known["heard"], known["support"], info["margin"]]
             if statistic == "belief":
                 share = log_odds(mind["share"])
@@ -224,19 +225,19 @@ def test_samples_are_those_of_single_routes_before_calibration(script, statistic
 def test_script_fits_frames_with_a_rival_and_those_without_apart(script):
     rng = np.random.default_rng(4)
     inputs = rng.uniform(0.0, 2.0, (60_000, 7))  # in the order of SIC_INPUTS
-    names = ("confidence", "discount", "track", "support_mean", "heard", "support", "margin")
+    names = ("confidence", "discount", "track", "recent", "heard", "support", "margin")
     assert names == script.SIC_INPUTS
     lonely = rng.random(len(inputs)) < 0.5
     inputs[lonely, 6] = 0.0  # no rival, no margin
-    wanted, alone = [-1.0, 0.5, 0.3, 0.6, -0.6, 0.8, 0.7], [-1.5, 0.9, 0.4, 0.5]
+    wanted, alone, late = [-1.0, 0.5, 0.3, -0.6, 0.8, 0.7], [-1.5, 0.9, 0.4], [-0.5, 2.0]
     confidence, discount, tens, recent, heard, support, margin = inputs.T
     s, t = np.arcsinh(confidence * discount), np.log(1 + 10 * tens)
-    columns = [np.ones_like(s), s, t, np.arcsinh(recent), heard, support, np.arcsinh(margin)]
-    logits = np.where(lonely, alone @ np.stack(columns[:4]), wanted @ np.stack(columns))
-    correct = rng.random(len(inputs)) < 1.0 / (1.0 + np.exp(-logits))
-    samples = (inputs, correct)
-    np.testing.assert_allclose(script.sic_fit(samples, rival=True), wanted, atol=0.2)
-    np.testing.assert_allclose(script.sic_fit(samples, rival=False), alone, atol=0.2)
+    columns = [np.ones_like(s), s, t, heard, support, np.arcsinh(margin)]
+    logits = np.where(lonely, alone @ np.stack(columns[:3]), wanted @ np.stack(columns))
+    p = calibration.logistic(logits) * calibration.logistic(late[0] + late[1] * np.arcsinh(recent))
+    samples = (inputs, rng.random(len(inputs)) < p)
+    np.testing.assert_allclose(script.sic_fit(samples, rival=True), wanted + late, atol=0.4)
+    np.testing.assert_allclose(script.sic_fit(samples, rival=False), alone + late, atol=0.4)
 
 
 def test_script_fits_every_statistic(script, tmp_path, capsys):

@@ -347,7 +347,7 @@ def test_on_leaving_the_map_p_falls() -> None:
         sure.setdefault("off", []).append(trace.p_correct[since > 20])
     on, off = (np.concatenate(sure[name]) for name in ("on", "off"))
     assert np.mean(on > 0.9) > 0.9
-    assert np.mean(off > 0.9) < 0.2
+    assert np.mean(off > 0.9) < 0.4
 
 
 def test_a_trend_makes_far_places_alike() -> None:
