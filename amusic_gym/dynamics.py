@@ -28,7 +28,7 @@ from amusic_gym.sic import (
     weigh,
 )
 
-IDLE_DECAY = 0.998
+IDLE_DECAY = 0.9995
 """Factor on p̂ and confidence per frame on which nothing ran.
 
 An assumption about the robot, not a fit: where it moves on by exactly one place per frame, nothing

@@ -288,7 +288,7 @@ def margin(result: Music, tolerance: int) -> float | None:
 # ------------------------------------------------------------------- estimated correctness: p̂
 
 
-IDLE_DECAY = 0.998
+IDLE_DECAY = 0.9995
 RECENT_SMOOTHING = 0.1
 SUPPORT_MEMORY = 0.98
 
