@@ -13,7 +13,7 @@ from agents.config import TrainingConfig, stored
 from agents.network import SelectorNetwork
 from agents.run_folder import SELECTOR, read_config, write_config, write_selector
 from agents.selector import load_selector
-from agents.shipped import PRETRAINED, SHIPPED, shipped
+from agents.shipped import IDLING, PRETRAINED, SHIPPED, shipped
 from amusic_gym.metrics import compute
 from amusic_gym.policy import Context
 from amusic_gym.rollout import Job, rollout, rollouts
@@ -31,7 +31,7 @@ from _study_policies import Lineup  # noqa: E402
 def test_one_ships_for_the_default_statistic_and_one_for_the_belief():
     assert SHIPPED == (SICSettings.statistic, "belief") == ("evidence", "belief")
     folders = {path.name for path in PRETRAINED.iterdir() if path.is_dir()}
-    assert folders == set(SHIPPED)
+    assert folders == {*SHIPPED, *(shipped(name, allow_idle=True).name for name in IDLING)}
     assert (PRETRAINED / "CARD.md").is_file()
     for statistic in SHIPPED:
         config = read_config(shipped(statistic))
@@ -49,6 +49,34 @@ def test_without_a_folder_the_one_that_ships_is_loaded():
     assert (needs.statistic, needs.carry, needs.discount) == ("belief", False, False)
     assert load_selector(shipped("belief")).needs == needs
     assert load_selector(shipped("belief"), statistic="belief").needs == needs
+
+
+def test_one_more_ships_that_may_idle():
+    run = shipped(allow_idle=True)
+    assert read_config(run)["environment"]["allow_idle"] is True
+    needs = load_selector(allow_idle=True).needs
+    assert (needs.statistic, needs.allow_idle) == ("evidence", True)
+    assert (
+        load_selector(run).needs
+        == needs
+        == made("ppo:idle").needs
+        == made("ppo@evidence:idle").needs
+    )
+    assert not load_selector().needs.allow_idle
+    with pytest.raises(
+        ValueError, match="no selector that may idle ships for the statistic 'belief'"
+    ):
+        load_selector(statistic="belief", allow_idle=True)
+
+
+def test_it_idles_on_most_frames_and_knows_its_place():
+    source = SimulatedRoutes(population("evidence"), pool=8, seed=5)
+    banks = [source.sample(np.random.default_rng(0), i)[0] for i in range(8)]
+    traces = rollouts(
+        load_selector(allow_idle=True), [Job(bank, 0.3) for bank in banks], name="ppo"
+    )
+    assert np.mean([(~trace.ran.any(axis=1)).mean() for trace in traces]) > 0.5
+    assert np.mean([trace.correct.mean() for trace in traces]) > 0.6
 
 
 def test_no_selector_of_another_statistic_is_given_out():

@@ -62,7 +62,7 @@ def command(tmp_path_factory):
         patch.setitem(train_default.learn.__kwdefaults__, "grid", _train_teacher.GRID[:3])
 
         def call(out: Path, folder: Path, *more: object) -> None:
-            patch.setattr(train_default, "shipped", lambda statistic: folder)
+            patch.setattr(train_default, "shipped", lambda statistic, allow_idle: folder)
             words = ["--out", out, "--timesteps", STEPS, *more]
             train_default.main([str(word) for word in words])
 
