@@ -164,7 +164,8 @@ def main(arguments: list[str] | None = None) -> None:
         allow_idle=given.allow_idle,
     )
     learn(given.out, config)
-    words = f"the selector that ships in {folder.name}"
+    idles = " and may idle" if given.allow_idle else ""
+    words = f"the selector that ships for {given.statistic!r}{idles}"
     if not is_same(given.out, folder):
         words = f"not {words}, bit for bit"
     print(f"The selector in {given.out} is {words}")
