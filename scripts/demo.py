@@ -46,6 +46,7 @@ PICTURED_WEIGHTS = (0.05, 0.3, 2.0)
 SELECTORS = {
     "trained here": "On tours that no training saw, the selector trained here",
     "ships": "The selector that ships",
+    "ships, may idle": "The one that ships and may run nothing on a frame",
 }
 
 _begun = time.monotonic()
@@ -106,7 +107,7 @@ def main() -> None:
             report=lambda _: None,
         )
         say("studying it: rules of every kind at no more compute")
-        selectors = {"trained here": [trained], "ships": ["ppo"]}
+        selectors = {"trained here": [trained], "ships": ["ppo"], "ships, may idle": ["ppo:idle"]}
         findings = study_rivals(banks, selectors, out / "study")
     say("driving live along the first tour")
     moment = drive(out, load_selector(run_folder), tours[0], banks[0])

@@ -94,9 +94,9 @@ def _parser() -> Parser:
     add(
         "--selector",
         nargs="+",
-        default=["ships=ppo"],
+        default=["ships=ppo", "ships, may idle=ppo:idle"],
         metavar="NAME=POLICY,...",
-        help="ppo or ppo:RUN; one, or five of one training (default: the one that ships)",
+        help="ppo or ppo:RUN; one, or five of one training (default: those that ship)",
     )
     add("--costs", choices=COST_MODELS, default="paper", help="cost model (default: paper)")
     return parser
