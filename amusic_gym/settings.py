@@ -9,7 +9,7 @@ from amusic_gym.names import suggest
 
 STATISTICS = ("mean", "evidence", "belief")
 """``mean`` is the paper's average, ``evidence`` Stouffer's weighted Z, ``belief`` the log-odds of a
-filter over places that follows any motion (docs/fidelity.md, docs/belief.md)."""
+filter over places that follows stops, other speeds and jumps (docs/fidelity.md, docs/belief.md)."""
 
 BLOCK = 10
 """M: frames of a selection and of a re-selection test (A-MuSIC, IV-C)."""
