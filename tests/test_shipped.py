@@ -38,7 +38,7 @@ def test_one_ships_for_the_default_statistic_and_one_for_the_belief():
         assert config["versions"]["statistic"] == statistic
         assert config["banks"] == []
         assert {path.name for path in shipped(statistic).iterdir()} == {"config.json", SELECTOR}
-        assert (shipped(statistic) / SELECTOR).stat().st_size < 200_000
+        assert (shipped(statistic) / SELECTOR).stat().st_size < 300_000
 
 
 def test_without_a_folder_the_one_that_ships_is_loaded():
