@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from amusic_gym.infos import Infos
 from amusic_gym.pictures.viewer import viewer_for
+from amusic_gym.registration import Specified
 from amusic_gym.task import RENDER_FPS, RENDER_MODES, Task, as_seed
 
 
-class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
+class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     """Choose, frame by frame, which place-recognition techniques are worth their compute.
 
     ## Description
@@ -178,7 +179,11 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
 
         Args:
             seed: whole number that fixes this and all later episodes.
-            options: any of ``bank``, ``start`` and ``compute_weight``.
+            options: for this episode only, any of ``bank``, ``start`` and ``compute_weight``: a
+                number each.
+
+        Raises:
+            ValueError: for another seed or option.
         """
         super().reset(seed=as_seed(seed))
         self.task.begin(0, self.np_random, options)
@@ -204,16 +209,14 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
             self._viewer.look()
         return out.observation[0], reward, terminated, truncated, info
 
-    def render(self) -> str | NDArray[np.uint8] | None:
+    def render(self) -> str | NDArray[np.uint8] | list[NDArray[np.uint8]] | None:  # type: ignore[override]
         """The last frame: one line with ``render_mode="ansi"``, a picture with ``"rgb_array"``.
 
-        The window of ``"human"`` follows every reset and step by itself. No mode shows the ground
-        truth.
+        With ``"rgb_array_list"``, the pictures since the last call or the reset. The window of
+        ``"human"`` follows every reset and step by itself. No mode shows the ground truth.
         """
-        if self.render_mode == "rgb_array":
-            assert self._viewer is not None
-            return self._viewer.pictures()[0]
-        return self.task.describe(0) if self.render_mode == "ansi" else None
+        shown = self.task.render(self.render_mode, self._viewer)
+        return None if shown is None else shown[0]
 
     def close(self) -> None:
         """Close the window, if there is one; twice is fine."""
