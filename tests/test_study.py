@@ -908,12 +908,13 @@ def test_command_runs_prints_and_resumes(run, tmp_path, folders, trained):  # no
     assert dry.stdout.splitlines()[-1] == "22 of 22 cells finished, 0 to compute"
 
 
-def test_34_ctrl_c_keeps_the_finished_cells_and_exits_130(tmp_path, folders):
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_34_52_a_stopped_study_keeps_the_finished_cells(tmp_path, folders, number, status):
     out = tmp_path / "out"
     words = ["--bank", folders[0], "--out", out, "--seeds", 1, "--policy", "music", "single:T0"]
     words += ["--statistic", "evidence"]
-    stopped = run_and_stop(signal.SIGINT, 2, "study.py", *words)
-    assert stopped.returncode == 130
+    stopped = run_and_stop(number, 2, "study.py", *words)
+    assert stopped.returncode == status
     assert stopped.stderr == "interrupted; what was finished is kept\n"
     assert len(list((out / "cells").glob("*.json"))) == 2
     assert not (out / "study.json").exists()
