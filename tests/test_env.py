@@ -443,7 +443,7 @@ def test_what_the_docstring_says_of_prices_slots_means_and_options(bank):
     env = TechniqueSelectionEnv(bank, slots=5, compute_weight=0.7)
     assert env.action_space.shape == (5,)
     env.reset(seed=0, options={"start": 3, "compute_weight": 2.0})
-    names = observation_names(5)
+    names = observation_names(tuple("abcde"))
     observation, _, _, _, info = env.step([1, 0, 0, 1, 1])  # the last two are of empty slots
     assert info["ran"].tolist() == [True, False, False, False, False]
     assert info["run_seconds"].tolist() == [*bank.seconds, 0.0, 0.0]  # prices, not what ran
