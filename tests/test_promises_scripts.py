@@ -383,6 +383,7 @@ def test_52_under_nohup_a_terminal_may_go():
     assert ended.returncode == 0
 
 
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_52_a_terminal_that_hangs_up_costs_nothing_that_was_finished(tmp_path):
     """Nothing can be printed any more, neither results nor the notice."""
     kept = tmp_path / "kept"
