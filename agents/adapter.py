@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorWrapper
 from numpy.typing import NDArray
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
@@ -23,20 +25,21 @@ class SB3VecEnv(VecEnv):
     hot path builds no dictionary for the other routes.
 
     Args:
-        env: a :class:`~amusic_gym.vector_env.TechniqueSelectionVectorEnv`.
+        env: a :class:`~amusic_gym.vector_env.TechniqueSelectionVectorEnv`, in Gymnasium's vector
+            wrappers or not.
 
     Raises:
         ValueError: for another autoreset mode.
     """
 
-    def __init__(self, env: TechniqueSelectionVectorEnv) -> None:
-        mode = getattr(env, "autoreset_mode", None)
+    def __init__(self, env: TechniqueSelectionVectorEnv | VectorWrapper) -> None:
+        mode = env.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.SAME_STEP:
             raise ValueError(
                 f"{type(env).__name__} with autoreset mode {getattr(mode, 'value', mode)!r}:"
                 f" Stable-Baselines3 needs gymnasium.make_vec(..., autoreset_mode='SameStep')"
             )
-        self.env = env
+        self.env: Any = env
         self.render_mode = env.render_mode
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self.metadata = env.metadata
@@ -44,6 +47,7 @@ class SB3VecEnv(VecEnv):
         self._returns = np.zeros(env.num_envs)
         self._lengths = np.zeros(env.num_envs, np.int64)
         self._terms: dict[str, NDArray[np.float64]] = {}
+        self._begun = time.monotonic()
 
     def reset(self) -> NDArray[np.float32]:
         """Begin an episode on every route, with the seeds and options set before."""
@@ -94,7 +98,11 @@ class SB3VecEnv(VecEnv):
         ended = {
             "terminal_observation": final,
             "TimeLimit.truncated": truncated,
-            "episode": {"r": float(self._returns[i]), "l": length, "t": 0.0},
+            "episode": {
+                "r": float(self._returns[i]),
+                "l": length,
+                "t": time.monotonic() - self._begun,
+            },
             "reward_terms": {name: float(v[i]) / length for name, v in self._terms.items()},
         }
         self._returns[i] = 0.0
@@ -114,11 +122,11 @@ class SB3VecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """An attribute of the wrapped environment, once per route."""
-        return [getattr(self.env, attr_name)] * len(self._indices(indices))
+        return [getattr(self._owner(attr_name), attr_name)] * len(self._indices(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Set an attribute of the wrapped environment, which all routes share."""
-        setattr(self.env, attr_name, value)
+        setattr(self._owner(attr_name), attr_name, value)
 
     def env_method(
         self,
@@ -128,14 +136,27 @@ class SB3VecEnv(VecEnv):
         **method_kwargs: Any,
     ) -> list[Any]:
         """Call a method of the wrapped environment once."""
-        result = getattr(self.env, method_name)(*method_args, **method_kwargs)
+        result = getattr(self._owner(method_name), method_name)(*method_args, **method_kwargs)
         return [result] * len(self._indices(indices))
 
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None
     ) -> list[bool]:
-        """Routes of a native vector environment have no wrappers of their own."""
-        return [False] * len(self._indices(indices))
+        """Whether a vector wrapper is of that class; of ``Monitor``: yes, it tells of episodes."""
+        own = wrapper_class is Monitor or any(isinstance(e, wrapper_class) for e in self._layers())
+        return [own] * len(self._indices(indices))
+
+    def _layers(self) -> Iterator[Any]:
+        """The environment in its wrappers, from outside in."""
+        layer: Any = self.env
+        while isinstance(layer, VectorWrapper):
+            yield layer
+            layer = layer.env
+        yield layer
+
+    def _owner(self, name: str) -> Any:
+        """The outermost layer that has an attribute; else the environment itself."""
+        return next((e for e in self._layers() if hasattr(e, name)), self.env.unwrapped)
 
     def _indices(self, indices: VecEnvIndices) -> Sequence[int]:
         return list(self._get_indices(indices))

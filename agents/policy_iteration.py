@@ -335,7 +335,8 @@ _worker: dict[str, Any] = {}
 def _begin(config: TrainingConfig, source: RouteSource) -> None:
     """Make a process ready to collect."""
     if multiprocessing.parent_process() is not None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process ends the others
+        for number in (signal.SIGINT, signal.SIGHUP):  # the main process ends the others
+            signal.signal(number, signal.SIG_IGN)
     _worker.update(config=config, env=make_env(config, source))
 
 

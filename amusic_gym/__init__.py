@@ -6,6 +6,7 @@ this package loads NumPy and Gymnasium only; what needs more is imported when it
 
 from __future__ import annotations
 
+from amusic_gym import threads as threads  # makes forks safe
 from amusic_gym.bank import ScoreBank
 from amusic_gym.ground_truth import GroundTruth
 from amusic_gym.registration import ENV_ID, register

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
+import contextlib
+import pickle
 import warnings
 from collections.abc import Callable
 from functools import cache
@@ -10,47 +11,55 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from numba import njit, types
+from numba.core.caching import FunctionCache
+
+from amusic_gym.imports import digest_of, source_files
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-
-KERNEL_SOURCES = (
-    "_compile.py",
-    "_tables.py",
-    "settings.py",
-    "rows.py",
-    "sic.py",
-    "observation.py",
-    "records.py",
-    "belief/places.py",
-    "dynamics.py",
-    "selection.py",
-)
 
 INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
 
 _unliteral: Any = types.unliteral
+_FunctionCache: Any = FunctionCache
 _njit: Any = njit  # its stubs know neither the cache nor the options without wrappers
 
 
-@cache
-def sources_digest(*sources: str) -> str:
-    """Digest of all files whose code ends up in compiled functions: paths below this folder."""
-    folder = Path(__file__).parent
-    text = b"".join((folder / name).read_bytes() for name in sources)
-    return hashlib.sha256(text).hexdigest()
+class _Cache(_FunctionCache):  # type: ignore[misc]
+    """Numba's cache of a function's machine code, stale when any file that it is made of changes.
+
+    Numba watches only the file of the function itself, but machine code holds that of its callees
+    too, and constants of other files. A damaged cache is begun anew, and one that cannot be
+    written is gone without.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        files = source_files(Path(function.__code__.co_filename), lazily=False)
+        self._cache_file._source_stamp = self._cache_file._source_stamp, digest_of(*files)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # whatever a pickle that is cut short or overwritten may raise
+            with contextlib.suppress(OSError):
+                self.flush()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        try:
+            super().save_overload(sig, data)
+        except (OSError, EOFError, pickle.UnpicklingError):
+            _warn_of_no_cache()
 
 
-def _cached(function: Function, sources: tuple[str, ...], **options: bool) -> Function:
-    """Numba's dispatcher of ``function``, whose cache is stale when one of ``sources`` changes."""
+def _cached(function: Function, **options: bool) -> Function:
+    """Numba's dispatcher of ``function``, whose machine code is cached where that can be."""
     compiled_function: Function
+    dispatcher = _njit(error_model="numpy", **options)(function)
     try:
-        dispatcher = _njit(cache=True, error_model="numpy", **options)(function)
-    except RuntimeError:  # neither beside the source nor in the home can be written
+        dispatcher._cache = _Cache(function)  # as its enable_caching does
+    except (RuntimeError, OSError):  # neither beside the source nor in the home can be written
         _warn_of_no_cache()
-        compiled_function = _njit(error_model="numpy", **options)(function)
-        return compiled_function
-    file = dispatcher._cache._cache_file
-    file._source_stamp = (file._source_stamp, sources_digest(*sources))
     compiled_function = dispatcher
     return compiled_function
 
@@ -65,23 +74,13 @@ def _warn_of_no_cache() -> None:
 
 
 def compiled(function: Function) -> Function:
-    """Compile ``function`` on first use; the machine code is cached beside the source.
-
-    Numba watches only the file of the cached function itself, but machine code holds that of its
-    callees too: without the digest, a change in one kernel file would leave another's stale.
-    """
-    return _cached(function, KERNEL_SOURCES)
+    """Compile ``function`` on first use; the machine code is cached beside the source."""
+    return _cached(function)
 
 
-def standalone(*sources: str, nogil: bool = True) -> Callable[[Function], Function]:
-    """As :func:`compiled`, for a kernel apart from the environment's.
-
-    Args:
-        sources: further files, below this folder, whose code ends up in it. So a change in the
-            environment's kernels does not make it compile again, nor the other way round.
-        nogil: whether it runs without the GIL, beside other Python threads.
-    """
-    return lambda function: _cached(function, (Path(__file__).name, *sources), nogil=nogil)
+def without_gil(function: Function) -> Function:
+    """As :func:`compiled`, to run beside other Python threads."""
+    return _cached(function, nogil=True)
 
 
 def inner(function: Function) -> Function:

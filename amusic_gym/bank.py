@@ -221,6 +221,12 @@ class ScoreBank:
 
     # ---- disk and copies -----------------------------------------------------------------
 
+    @property
+    def folder(self) -> Path | None:
+        """Where :meth:`load` finds the same bank; None: nowhere, or it is a view of another."""
+        whole = np.array_equal(self.index, np.arange(len(self.stored)))
+        return self.path if whole and self.costs == self._given[0] else None
+
     @classmethod
     def load(cls, path: str | os.PathLike[str], *, verify: bool = False) -> ScoreBank:
         """Open a bank's folder; the scores are memory-mapped, not read.

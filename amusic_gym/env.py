@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from amusic_gym.infos import Infos
 from amusic_gym.pictures.viewer import viewer_for
+from amusic_gym.registration import Specified
 from amusic_gym.task import RENDER_FPS, RENDER_MODES, Task, as_seed
 
 
-class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
+class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     """Choose, frame by frame, which place-recognition techniques are worth their compute.
 
     ## Description
@@ -34,11 +35,14 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     the place whose surroundings hold most of it is the prediction.
 
     ## Action Space
-    `MultiBinary(T)`: bit t runs technique t on the *next* frame. Values are checked, not the
-    dtype: 1, 1.0 and True are the same. With `reselection=M` there is one more bit, last:
-    "re-select". It runs, before the frame is processed, every technique on those of the last M
-    frames (as many as there are) that it missed, and replaces the other bits by the selection of
-    A-MuSIC (III-C1). On the first frame there is nothing to select from, and the other bits hold.
+    `MultiBinary(T)`: bit t runs technique t on the *next* frame. With `slots=S` there are S bits
+    and S groups of the observation, whatever the route's T; the bits of empty slots do nothing.
+    Values are checked, not the dtype: 1, 1.0 and True are the same.
+
+    With `reselection=M` there is one more bit, last: "re-select". It runs, before the frame is
+    processed, every technique on those of the last M frames (as many as there are) that it missed,
+    and replaces the other bits by the selection of A-MuSIC (III-C1). On the first frame there is
+    nothing to select from, and the other bits hold.
 
     An all-zero action runs the cheapest technique, and `info["fallback"]` says so. With
     `allow_idle=True` nothing runs: the prediction moves on by one place, and p̂ and confidence
@@ -46,8 +50,8 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
 
     ## Observation Space
     A flat float32 `Box` in [−1, 1]: T equal groups, one per technique, then the route's group.
-    *squash* is x / (|x| + 4). Running means weigh the newest value by 0.2. A star: not so
-    with `belief`, see below the tables.
+    *squash* is x / (|x| + 4). Running means weigh the newest value by 0.2 and start at 0. A star:
+    not so with `belief`, see below the tables.
 
     | per technique | meaning |
     |---|---|
@@ -130,7 +134,8 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     mask): `frame`, `route` (number of the bank), `prediction`, `confidence`, `p_correct`,
     `similarity` (z-score of the prediction in this frame's row of the trusted technique, 0:
     nothing ran), `margin`, `technique` (that MuSIC trusts, −1: none), `ran`, `place`,
-    `statistic`, `correction`, `present`, `run_seconds`, `seconds`, `fallback`, `idle`,
+    `statistic`, `correction`, `present`, `run_seconds` (what one run of each technique costs,
+    whether it ran or not), `seconds` (what this step cost), `fallback`, `idle`,
     `compute_weight`, `reward_terms` and, with `reselection`, `selection` (`happened`, `tally`,
     `selected`, `corrections` (T, M), `late_runs`). Never ground truth.
 
@@ -138,7 +143,8 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
     See :class:`amusic_gym.task.Task`, among them `statistic`, `carry` and `discount`. Without
     `bank`, routes are simulated, of four techniques and of the motion that the statistic is made
     for: steady drives through changing conditions; for `belief`, most with stops, other speeds and
-    jumps. `reset` takes the options `bank`, `start` and `compute_weight`.
+    jumps. `reset` takes the options `bank`, `start` and `compute_weight`, each a number; they hold
+    for the episode that it begins, and the next draws anew.
 
     ```python
     >>> import gymnasium as gym
@@ -178,7 +184,11 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
 
         Args:
             seed: whole number that fixes this and all later episodes.
-            options: any of ``bank``, ``start`` and ``compute_weight``.
+            options: for this episode only, any of ``bank``, ``start`` and ``compute_weight``: a
+                number each.
+
+        Raises:
+            ValueError: for another seed or option.
         """
         super().reset(seed=as_seed(seed))
         self.task.begin(0, self.np_random, options)
@@ -204,16 +214,14 @@ class TechniqueSelectionEnv(gym.Env[NDArray[np.float32], NDArray[np.int8]]):
             self._viewer.look()
         return out.observation[0], reward, terminated, truncated, info
 
-    def render(self) -> str | NDArray[np.uint8] | None:
+    def render(self) -> str | NDArray[np.uint8] | list[NDArray[np.uint8]] | None:  # type: ignore[override]
         """The last frame: one line with ``render_mode="ansi"``, a picture with ``"rgb_array"``.
 
-        The window of ``"human"`` follows every reset and step by itself. No mode shows the ground
-        truth.
+        With ``"rgb_array_list"``, the pictures since the last call or the reset. The window of
+        ``"human"`` follows every reset and step by itself. No mode shows the ground truth.
         """
-        if self.render_mode == "rgb_array":
-            assert self._viewer is not None
-            return self._viewer.pictures()[0]
-        return self.task.describe(0) if self.render_mode == "ansi" else None
+        shown = self.task.render(self.render_mode, self._viewer)
+        return None if shown is None else shown[0]
 
     def close(self) -> None:
         """Close the window, if there is one; twice is fine."""

@@ -7,7 +7,6 @@ query's images come from a :class:`FrameSource`, and only what the policy runs i
 from __future__ import annotations
 
 import os
-import statistics
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -246,14 +245,18 @@ class LiveRoute:
 
     def _measure(self) -> NDArray[np.float64]:
         """(T,) median seconds of a run on the first frame, after one that warms up."""
+        from amusic_gym.extraction.seconds import cost_of
+
         self.frames.rewind()
         image = self.frames.read(0)
         if image is None:
             raise ValueError(f"live route {self.name!r} has no frame; give at least one image")
-        runs = [
-            [self.run(t, image, 0)[1] for _ in range(1 + REPEATS)] for t in range(len(self.maps))
-        ]
-        return np.array([statistics.median(seconds[1:]) for seconds in runs])
+        costs = []
+        for t, technique in enumerate(self.techniques):
+            runs = [self.run(t, image, 0)[1:] for _ in range(1 + REPEATS)]
+            costs.append(cost_of(runs[1:]))
+            costs[-1].warn(technique)
+        return np.array([cost.seconds for cost in costs])
 
     def _charge(self, costs: str) -> None:
         """Set the declared seconds of a cost model."""

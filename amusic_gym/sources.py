@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -141,7 +140,8 @@ class SimulatedRoutes:
             `TECHNIQUES` techniques each.
         pool: how many different routes; None: every episode's is new.
         seed: routes of another seed are other routes: training and held-out ones, for example.
-        keep: how many routes are held in memory.
+        keep: how many routes are held in memory, of a pool and of those that were asked for by
+            number; no other is drawn a second time.
     """
 
     def __init__(
@@ -158,7 +158,7 @@ class SimulatedRoutes:
         self.pool = pool
         self.seed = seed
         self._keep = keep
-        self._routes: OrderedDict[int, ScoreBank] = OrderedDict()
+        self._routes: dict[int, ScoreBank] = {}
 
     @property
     def techniques(self) -> tuple[str, ...] | None:
@@ -177,21 +177,23 @@ class SimulatedRoutes:
             ValueError: if there is no such number.
         """
         routes = self.pool if self.pool is not None else 2**31
+        needed_again = self.pool is not None or index is not None
         if index is None:
             index = int(rng.integers(routes))
         if not 0 <= index < routes:
             raise ValueError(f"route {index}: there are {routes}, numbered from 0")
-        if index not in self._routes:
-            generator = np.random.default_rng([self.seed, index])
-            self._routes[index] = self.simulation.route(generator)
+        route = self._routes.pop(index, None)
+        if route is None:
+            route = self.simulation.route(np.random.default_rng([self.seed, index]))
+        if needed_again:
+            self._routes[index] = route  # the last one in order
             if len(self._routes) > self._keep:
-                self._routes.popitem(last=False)
-        self._routes.move_to_end(index)
-        return self._routes[index], index
+                self._routes.pop(next(iter(self._routes)))
+        return route, index
 
     def __getstate__(self) -> dict[str, object]:
         """Copies redraw their routes from the seeds instead of carrying them."""
-        return {**self.__dict__, "_routes": OrderedDict()}
+        return {**self.__dict__, "_routes": {}}
 
 
 def ordinary(statistic: str) -> Simulation:

@@ -12,7 +12,7 @@ import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
@@ -29,8 +29,11 @@ from amusic_gym.rewards import Reward, RewardInputs, as_reward, estimated, trade
 from amusic_gym.settings import COVERAGE, SICSettings
 from amusic_gym.sources import BankLike, Recording, RouteSource, as_source, columns_for
 
+if TYPE_CHECKING:
+    from amusic_gym.pictures.viewer import Viewer
+
 RESET_OPTIONS = ("bank", "start", "compute_weight")
-RENDER_MODES = ("ansi", "rgb_array", "human")
+RENDER_MODES = ("ansi", "rgb_array", "rgb_array_list", "human")
 RENDER_FPS = 10
 """Frames per second of videos, and the most that the window of "human" shows."""
 
@@ -65,8 +68,8 @@ class Task:
         reward: ``"estimated"``, ``"ground_truth"`` or a callable (:mod:`amusic_gym.rewards`).
         threads: of this process that step the routes with ``belief``, each a share of them. The
             results are the same for any number; more than one pay with many routes.
-        render_mode: ``"ansi"`` (a line of text), ``"rgb_array"`` (a picture), ``"human"`` (a
-            window, which needs pygame) or None.
+        render_mode: ``"ansi"`` (a line of text), ``"rgb_array"`` (a picture), ``"rgb_array_list"``
+            (pictures of all steps), ``"human"`` (a window, which needs pygame) or None.
 
     Raises:
         ValueError: for any argument out of range, with the valid ones.
@@ -153,12 +156,12 @@ class Task:
             i: number of the route in the batch.
             rng: the route's generator.
             options: any of ``bank`` (number in the list), ``start`` (query of the first frame)
-                and ``compute_weight``; each may be an array with one entry per route.
+                and ``compute_weight``, of this episode only.
 
         Raises:
             ValueError: for an unknown option or a value out of range.
         """
-        given = self._options(options, i)
+        given = self._options(options)
         bank, index = self.source.sample(rng, given.get("bank"))
         start = self._start(bank, rng, given.get("start"))
         weight = given.get("compute_weight")
@@ -185,18 +188,16 @@ class Task:
         return start
 
     @staticmethod
-    def _options(options: Mapping[str, Any] | None, i: int) -> dict[str, Any]:
+    def _options(options: Mapping[str, Any] | None) -> dict[str, Any]:
         given: dict[str, Any] = {}
         for name, value in (options or {}).items():
             if name not in RESET_OPTIONS:
                 raise ValueError(suggest("reset option", name, RESET_OPTIONS))
             if np.ndim(value):
-                if len(value) <= i:
-                    raise ValueError(
-                        f"reset option {name!r} has {len(value)} entries; give one per route, or"
-                        f" one for all"
-                    )
-                value = value[i]
+                raise ValueError(
+                    f"reset option {name} is {value!r}; give one number: one entry per route is for"
+                    " the native vector environment, gymnasium.make_vec(...)"
+                )
             try:
                 given[name] = float(value) if name == "compute_weight" else operator.index(value)
             except (TypeError, ValueError):
@@ -324,6 +325,13 @@ class Task:
         zeros = np.zeros(self.episodes.num_routes)
         terms = self._terms(out, lambda: zeros.astype(np.bool_))
         return {name: np.zeros_like(zeros) for name in terms}
+
+    def render(self, mode: str | None, viewer: Viewer | None) -> tuple[Any, ...] | None:
+        """What each route shows in a render mode; None for a mode that returns nothing."""
+        if viewer is not None:
+            return viewer.shown()
+        routes = range(self.episodes.num_routes)
+        return tuple(map(self.describe, routes)) if mode == "ansi" else None
 
     def describe(self, i: int) -> str:
         """One line on route ``i``, for ``render_mode="ansi"``."""

@@ -3,11 +3,15 @@
 A sum that several threads share is added up in another order than on one thread, and its last bits
 differ. So descriptors and scores are computed on one thread everywhere, in workers and on the
 robot, and work is spread over images and blocks instead.
+
+While a process forks, OpenCV has one thread, too: in a child that has only inherited the others,
+it would hang.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -105,3 +109,35 @@ def limit_this_thread() -> None:
     """
     with _limits.lock:
         _limits.look().limit(limits=1)
+
+
+_opencv: list[int | None] = []  # OpenCV's number of threads, of each fork that is under way
+
+
+def _end_opencv_threads() -> None:
+    """Before a fork: a child would inherit OpenCV's pool without its threads, and wait for them."""
+    cv2 = sys.modules.get("cv2")
+    put = getattr(cv2, "setNumThreads", None)  # not while another thread imports it
+    _opencv.append(None if put is None else cv2.getNumThreads())  # type: ignore[union-attr]
+    if put is not None:
+        put(1)  # waits for what another thread does with them
+
+
+def _allow_opencv_threads() -> None:
+    number = _opencv.pop()
+    if number is not None:
+        sys.modules["cv2"].setNumThreads(number)
+
+
+def _renew_lock() -> None:
+    """In a fork's child: the thread that held the lock may not be there."""
+    _limits.lock = threading.RLock()
+    _allow_opencv_threads()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(
+        before=_end_opencv_threads,
+        after_in_parent=_allow_opencv_threads,
+        after_in_child=_renew_lock,
+    )

@@ -16,13 +16,17 @@ from amusic_gym.infos import Infos, Terms, batch_infos
 from amusic_gym.names import suggest
 from amusic_gym.pictures.viewer import Viewer, viewer_for
 from amusic_gym.records import Outcome
+from amusic_gym.registration import Specified
 from amusic_gym.task import RENDER_FPS, RENDER_MODES, Task, as_seed
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+SPACES = ("observation_space", "action_space")
 
 
-class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8], NDArray[Any]]):
+class TechniqueSelectionVectorEnv(
+    Specified, VectorEnv[NDArray[np.float32], NDArray[np.int8], NDArray[Any]]
+):
     """N routes at once; equal bit for bit to N single environments in a ``SyncVectorEnv``.
 
     Args:
@@ -64,7 +68,7 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._action_shape = (num_envs, self.task.episodes.action_size)
-        self._generators = [seeding.np_random()[0] for _ in range(num_envs)]
+        self._generators = [seeding.np_random() for _ in range(num_envs)]
         self._begun = np.zeros(num_envs, np.bool_)
         self._ended = np.zeros(num_envs, np.bool_)
 
@@ -87,15 +91,18 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
 
         Args:
             seed: route i is seeded with seed + i; or one seed per route.
-            options: those of the single environment (also one entry per route) and
-                ``reset_mask`` (N,) bool.
+            options: for these episodes only: those of the single environment, each a number or
+                one entry per route, and ``reset_mask`` (N,) bool.
+
+        Raises:
+            ValueError: for other seeds, options or masks.
         """
         options = dict(options or {})
         mask = self._reset_mask(options.pop("reset_mask", None))
         for i, single in enumerate(self._seeds(seed)):
             if mask[i]:
                 if single is not None:
-                    self._generators[i] = seeding.np_random(single)[0]
+                    self._generators[i] = seeding.np_random(single)
                 self._begin(i, options)
         out = self.task.episodes.look()
         if self._viewer is not None:
@@ -103,8 +110,20 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
         return out.observation, self.task.begun_infos(out, mask)
 
     def _begin(self, i: int, options: Mapping[str, Any] | None = None) -> None:
-        self.task.begin(i, self._generators[i], options)
+        given = {name: self._entry(name, value, i) for name, value in (options or {}).items()}
+        self.task.begin(i, self._generators[i][0], given)
         self._begun[i], self._ended[i] = True, False
+
+    def _entry(self, name: str, value: Any, i: int) -> Any:
+        """A reset option's value for route ``i``."""
+        if not np.ndim(value):
+            return value
+        if len(value) != self.num_envs:
+            raise ValueError(
+                f"reset option {name!r} has {len(value)} entries for {self.num_envs} routes; give"
+                " one per route, or one for all"
+            )
+        return value[i]
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
@@ -191,12 +210,56 @@ class TechniqueSelectionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int8
 
         The window of ``"human"`` shows the first routes side by side, as many as can be read.
         """
-        if self.render_mode == "rgb_array":
-            assert self._viewer is not None
-            return self._viewer.pictures()
-        if self.render_mode == "ansi":
-            return tuple(self.task.describe(i) for i in range(self.num_envs))
-        return None
+        return self.task.render(self.render_mode, self._viewer)
+
+    @property  # type: ignore[misc]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
+        """Generator of every route, as of ``SyncVectorEnv``."""
+        return tuple(generator for generator, _ in self._generators)
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+        """Seed of every route's generator."""
+        return tuple(seed for _, seed in self._generators)
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """An attribute of N single environments, or what calling it gives, as ``SyncVectorEnv``'s.
+
+        Args:
+            name: of an attribute that all routes share, of one of those that they have each
+                (``np_random``, ``np_random_seed``, the spaces), or ``render``.
+            args: for a method.
+            kwargs: for a method.
+
+        Raises:
+            AttributeError: for another name, and for ``reset`` and ``step``.
+        """
+        if name in ("reset", "step"):
+            raise AttributeError(f"routes are not called one by one; call {name}() of them all")
+        value = getattr(self, {space: f"single_{space}" for space in SPACES}.get(name, name))
+        value = value(*args, **kwargs) if callable(value) else value
+        own = name in ("np_random", "np_random_seed") or (name == "render" and value is not None)
+        return tuple(value) if own else (value,) * self.num_envs
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """As :meth:`call`, of an attribute."""
+        return self.call(name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute, which all routes share.
+
+        Args:
+            name: of the attribute.
+            values: the value, or a list or tuple of N times the same one.
+
+        Raises:
+            ValueError: for values that differ.
+        """
+        if not isinstance(values, list | tuple):
+            values = [values]
+        elif len(values) != self.num_envs or any(value != values[0] for value in values):
+            raise ValueError(f"{name} is {values!r}; give one value: the routes share it")
+        setattr(self, name, values[0])
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the window, if there is one."""

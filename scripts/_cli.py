@@ -3,21 +3,36 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import re
 import select
+import signal
 import sys
+import threading
+import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Any, NoReturn
 
 INTERRUPTED, READER_GONE = 130, 141  # as a shell counts a death by SIGINT and by SIGPIPE
 
+STOPS = (signal.SIGTERM, signal.SIGHUP)
+"""Signals that a script takes as it takes Ctrl-C."""
+
+SAME = 10.0
+"""Seconds in which more of them are no second request: a closing terminal sends several."""
+
+
+def _tell(line: str) -> None:
+    with contextlib.suppress(OSError):  # the terminal may be gone
+        print(line, file=sys.stderr, flush=True)
+
 
 def _tell_interrupt() -> None:
-    print("interrupted; what was finished is kept", file=sys.stderr, flush=True)
+    _tell("interrupted; what was finished is kept")
 
 
 def _end(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
@@ -103,31 +118,66 @@ def insisted(args: argparse.Namespace) -> dict[str, Any]:
     return {"statistic": args.statistic, "carry": args.carry, "discount": args.discount}
 
 
+@contextlib.contextmanager
+def _stops_as_ctrl_c() -> Iterator[list[int]]:
+    """Let `STOPS` do what Ctrl-C does at that time; one that is ignored (``nohup``) stays so.
+
+    Yields:
+        The numbers of those that came.
+    """
+    came: list[int] = []
+    until = -1.0
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal until
+        if time.monotonic() < until:
+            return
+        until = time.monotonic() + SAME
+        came.append(number)
+        handler = signal.getsignal(signal.SIGINT)
+        (handler if callable(handler) else signal.default_int_handler)(signal.SIGINT, frame)
+
+    usual = {number: signal.getsignal(number) for number in STOPS}
+    changed = [number for number in STOPS if usual[number] is signal.SIG_DFL]
+    if threading.current_thread() is not threading.main_thread():
+        changed = []  # only the main thread hears signals
+    for number in changed:
+        signal.signal(number, stop)
+    try:
+        yield came
+    finally:
+        for number in changed:
+            signal.signal(number, usual[number])
+
+
 def run(main: Callable[[], int | None]) -> NoReturn:
     """Run a script's ``main`` and exit.
 
     Exit status: what ``main`` returns, or 0; 2 for bad arguments or input, one line on stderr;
-    130 on Ctrl-C; 141, and not a word, when who reads stdout has gone (``| head``). Warnings are
-    one line on stderr too.
+    130 on Ctrl-C, 143 on SIGTERM and 129 on SIGHUP, which do the same; 141, and not a word, when
+    who reads stdout has gone (``| head``). Warnings are one line on stderr too.
     """
     warnings.formatwarning = _one_line
     status: Any = 2
     failure: Exception | None = None
-    try:
-        status = main() or 0
-    except SystemExit as ended:
-        status = ended.code
-    except KeyboardInterrupt:
-        _tell_interrupt()
-        status = INTERRUPTED
-    except (ValueError, OSError, MemoryError) as error:
-        failure = error
-    lost = _lost_output()
+    with _stops_as_ctrl_c() as came:
+        try:
+            status = main() or 0
+        except SystemExit as ended:
+            status = ended.code
+        except KeyboardInterrupt:
+            _tell_interrupt()
+            status = INTERRUPTED
+        except (ValueError, OSError, MemoryError) as error:
+            failure = error
+        lost = _lost_output()
     failure = failure or lost
-    if isinstance(failure, BrokenPipeError) and (lost is not None or _reader_gone()):
+    if came and (isinstance(failure, OSError) or status == INTERRUPTED):
+        status = 128 + came[0]  # with a terminal that hangs up, all output is lost
+    elif isinstance(failure, BrokenPipeError) and (lost is not None or _reader_gone()):
         status = READER_GONE
     elif failure is not None:
-        print(f"{Path(sys.argv[0]).name}: {_sentence(failure)}", file=sys.stderr)
+        _tell(f"{Path(sys.argv[0]).name}: {_sentence(failure)}")
         status = 2
     raise SystemExit(status)
 

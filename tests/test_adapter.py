@@ -6,10 +6,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from env_cases import random_actions, random_bank
+from gymnasium.wrappers import vector
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecMonitor
 
 from agents.adapter import SB3VecEnv
 from amusic_gym.bank import ScoreBank
@@ -78,6 +78,36 @@ def test_refuses_another_autoreset_mode(mode):
         SB3VecEnv(native(autoreset_mode=mode))
 
 
+def test_gymnasiums_vector_wrappers_may_be_around_the_environment():
+    plain = SB3VecEnv(native())
+    wrapped = SB3VecEnv(vector.RecordEpisodeStatistics(vector.ClipReward(native(), 0.0, 0.1)))
+    for env in (plain, wrapped):
+        env.seed(7)
+    np.testing.assert_array_equal(plain.reset(), wrapped.reset())
+    ended = 0
+    for action in random_actions(1, 30, (4, 3)):
+        (first, rewards, done, infos), (second, clipped, *rest) = (
+            env.step(action) for env in (plain, wrapped)
+        )
+        np.testing.assert_array_equal(first, second)
+        np.testing.assert_array_equal(np.clip(rewards, 0.0, 0.1), clipped)
+        np.testing.assert_array_equal(done, rest[0])
+        ended += sum(
+            one["episode"]["l"] == two["episode"]["l"]
+            for one, two in zip(infos, rest[1], strict=True)
+            if one
+        )
+    assert ended > 2
+    assert wrapped.env_is_wrapped(vector.ClipReward) == [True] * 4
+    assert wrapped.env_is_wrapped(vector.NormalizeReward) == [False] * 4
+    assert wrapped.get_attr("task")[0].slots == 3
+    assert wrapped.get_attr("length_queue")[0].maxlen == 100
+    wrapped.set_attr("mark", 5)
+    assert wrapped.env.unwrapped.mark == 5
+    with pytest.raises(ValueError, match="ClipReward with autoreset mode 'NextStep'"):
+        SB3VecEnv(vector.ClipReward(native(autoreset_mode="NextStep"), 0.0, 0.1))
+
+
 def test_a_seed_counts_for_the_next_reset_only():
     wrapped = SB3VecEnv(native(random_start=True, episode_length=5))
     assert wrapped.seed(3) == [3, 4, 5, 6]
@@ -141,9 +171,9 @@ def test_pictures_of_every_route_come_through():
     wrapped.close()
 
 
-def test_evaluate_policy_and_vec_monitor_agree_with_the_episodes():
+def test_evaluate_policy_takes_the_episodes_as_a_monitors():
     bank = random_bank(4, queries=9)
-    env = VecMonitor(SB3VecEnv(native(2, bank=bank, compute_weight=0.5)))
+    env = SB3VecEnv(native(2, bank=bank, compute_weight=0.5))
     model = PPO("MlpPolicy", env, n_steps=4, batch_size=8, seed=0, device="cpu")
     returns, lengths = evaluate_policy(model, env, 5, return_episode_rewards=True)
     assert lengths == [9] * 5
@@ -169,7 +199,7 @@ def test_ppo_learns_through_it_and_a_cut_episode_is_bootstrapped():
     assert model.num_timesteps == 64
     assert model.ep_info_buffer
     assert {episode["l"] for episode in model.ep_info_buffer} <= {1, 2, 3}
-    assert env.env_is_wrapped(Monitor) == [False] * 4
+    assert env.env_is_wrapped(Monitor) == [True] * 4  # it tells of episodes as Monitor does
 
 
 def test_one_route_works_alone():

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import ast
-import inspect
 import threading
-from pathlib import Path
 
 import cohog_oracle as oracle
 import cv2
@@ -14,8 +11,7 @@ import pytest
 from corridor import data_folder
 from recordings import read_folder
 
-from amusic_gym import _compile
-from amusic_gym.techniques import _cohog_description, _cohog_kernel, make_technique
+from amusic_gym.techniques import make_technique
 from amusic_gym.techniques._cohog_description import local_entropy
 from amusic_gym.techniques.cohog import (
     cells_of,
@@ -275,27 +271,6 @@ def test_matching_leaves_other_threads_running(cohog):
 def test_descriptors_of_another_shape_are_refused(cohog, query, references):
     with pytest.raises(ValueError, match=r"CoHOG matches .* describe the images again"):
         cohog.match(np.zeros(query, np.float32), np.zeros(references, np.float32))
-
-
-@pytest.mark.parametrize(
-    ("module", "kernel"),
-    [
-        (_cohog_kernel, "match_regions"),
-        (_cohog_description, "local_entropy"),
-        (_cohog_description, "add_directions"),
-    ],
-)
-def test_a_changed_source_makes_the_kernel_compile_again(module, kernel):
-    path = Path(inspect.getsourcefile(module))
-    package = path.parent.parent
-    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-    named = [node.module for node in nodes if isinstance(node, ast.ImportFrom)]
-    files = [name.replace(".", "/") + ".py" for name in named if name.startswith("amusic_gym.")]
-    sources = [name.removeprefix("amusic_gym/") for name in files]
-    assert "_compile.py" in sources
-    assert all((package / name).is_file() for name in sources)
-    stamp = getattr(module, kernel)._cache._cache_file._source_stamp
-    assert stamp[1] == _compile.sources_digest(*sources)
 
 
 # --- a real recording ----------------------------------------------------------------------------

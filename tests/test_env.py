@@ -437,3 +437,19 @@ def test_an_outcome_that_a_reward_keeps_stays_as_it_was():
     for given, copies in kept:
         for array, copied in zip(given, copies, strict=True):
             assert array.tolist() == copied.tolist()
+
+
+def test_what_the_docstring_says_of_prices_slots_means_and_options(bank):
+    env = TechniqueSelectionEnv(bank, slots=5, compute_weight=0.7)
+    assert env.action_space.shape == (5,)
+    env.reset(seed=0, options={"start": 3, "compute_weight": 2.0})
+    names = observation_names(tuple("abcde"))
+    observation, _, _, _, info = env.step([1, 0, 0, 1, 1])  # the last two are of empty slots
+    assert info["ran"].tolist() == [True, False, False, False, False]
+    assert info["run_seconds"].tolist() == [*bank.seconds, 0.0, 0.0]  # prices, not what ran
+    assert info["seconds"] == bank.seconds[0]
+    entries = dict(zip(names, observation.tolist(), strict=True))
+    mean = next(name for name in names if name.endswith("p_correct_mean"))
+    assert entries[mean] == pytest.approx(0.2 * info["p_correct"], rel=1e-6)
+    _, info = env.reset()
+    assert (info["compute_weight"], info["frame"]) == (0.7, -1)

@@ -10,6 +10,7 @@ import pickle
 import re
 import sys
 import tracemalloc
+import warnings
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from amusic_gym.extraction import BLOCK, Cache, DescribedMap, describe_map, extr
 from amusic_gym.extraction import seconds as seconds_module
 from amusic_gym.extraction.describe import Plan, images_of
 from amusic_gym.extraction.executors import make_executor
-from amusic_gym.extraction.seconds import measure_seconds
+from amusic_gym.extraction.seconds import Cost, cost_of, measure_cost
 from amusic_gym.extraction.shards import DescribeShard, MatchShard
 from amusic_gym.ground_truth import GroundTruth
 from amusic_gym.routes.folders import ImageFolder
@@ -176,9 +177,38 @@ def test_seconds_are_the_median_scaled_to_the_whole_map(monkeypatch):
     monkeypatch.setattr(seconds_module, "time", clock)
     images = [np.full((2, 2, 3), value, np.uint8) for value in (0, 1, 2)]
     blocks = [np.ones((6, 4), np.float32), np.ones((2, 4), np.float32)]
-    assert measure_seconds(Timed(clock), images, blocks, references=100) == 3 + 0.5 * 100
-    runs = len(images) + 1  # one to warm up
-    assert clock.now == 300 * 2 + 3 * (runs - 2) + 0.5 * 8 * runs
+    assert measure_cost(Timed(clock), images, blocks, references=100) == (3 + 0.5 * 100, 0.0)
+    runs = 3 * len(images) + 1  # one to warm up
+    assert clock.now == 300 * 4 + 3 * (runs - 4) + 0.5 * 8 * runs
+
+
+@pytest.mark.parametrize(
+    ("slower", "spread"),
+    [
+        ([], 0.0),
+        ([(0, 1)], 0.0),  # one hiccup of 15 runs
+        ([(1, image) for image in range(5)], 1.0),  # a round while something else runs
+    ],
+)
+def test_a_measurement_tells_how_far_it_spreads(slower, spread):
+    runs = np.tile([0.1, 0.1, 0.1, 0.1, 0.4], (3, 1))  # one image takes long: no spread
+    for at in slower:
+        runs[at] *= 2
+    assert cost_of(runs) == (pytest.approx(0.1), pytest.approx(spread))
+
+
+def test_an_unsteady_measurement_is_warned_of_each_time_and_told(monkeypatch, folders, tmp_path):
+    unsteady = Cost(0.139, 0.8)
+    monkeypatch.setattr(seconds_module, "measure_cost", lambda *_: unsteady)
+    for _ in range(2):
+        with pytest.warns(UserWarning, match=r"'Tiny' took 0.139 s per run \(±80%\); measure ag"):
+            extracted = extract(*folders, [Tiny()], tolerance=1, cache=tmp_path / "cache")
+    assert extracted.seconds.tolist() == [0.139]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Cost(0.139, 0.25).warn("Tiny")
+        Cost(0.000139, 0.8).warn("Tiny")  # no cost turns on it
+    assert str(Cost(0.139, 0.04)) == "0.139 s per run (±4%)"
 
 
 def test_seconds_are_measured_once_per_machine(folders, tmp_path):

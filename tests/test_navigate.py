@@ -395,7 +395,10 @@ def test_ctrl_c_keeps_trace_and_video_valid(navigate, tmp_path):
     assert [source.read(i) is None for i in range(5)] == [False] * 4 + [True]
 
 
-def test_a_process_that_is_interrupted_ends_well(world, tmp_path):
+@pytest.mark.parametrize(
+    ("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
+)
+def test_34_52_a_process_that_is_stopped_ends_well(world, tmp_path, number, status):
     long = tmp_path / "long.avi"
     with VideoWriter(long, 10) as writer:
         for view in views(PLACES) * 200:
@@ -417,10 +420,10 @@ def test_a_process_that_is_interrupted_ends_well(world, tmp_path):
     for line in process.stdout:
         seen += lines_of(line)
         if len(seen) == 5:
-            process.send_signal(signal.SIGINT)
+            process.send_signal(number)
             break
     out, err = process.communicate(timeout=60)
-    assert process.returncode == 130
+    assert process.returncode == status
     assert err == "interrupted; what was finished is kept\n"
     frames = len(seen) + len(lines_of(out))
     assert f"\n{frames} frames, " in out
@@ -429,3 +432,4 @@ def test_a_process_that_is_interrupted_ends_well(world, tmp_path):
     while source.length is None:
         assert source.read(source._next) is not None
     assert source.length in (frames, frames - 1)
+    assert not list(tmp_path.glob(".*"))

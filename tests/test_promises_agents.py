@@ -204,12 +204,15 @@ def test_31_sizes_that_no_network_has_are_refused(copy, config):
 # ---- 34: Ctrl-C ----------------------------------------------------------------------------
 
 
-def test_34_ctrl_c_in_the_command_saves_a_checkpoint_and_exits_130(tmp_path, bank_folder, command):
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_34_52_a_stop_of_the_command_saves_a_checkpoint(
+    tmp_path, bank_folder, command, number, status
+):
     run = tmp_path / "run"
-    code = small_training.signal_at("agents.keeper", "Keeper._on_step", 13, signal.SIGINT)
+    code = small_training.signal_at("agents.keeper", "Keeper._on_step", 13, number)
     options = ("--out", run, "--bank", bank_folder, "--seed", 1)
     ended = train_script(*options, "--timesteps", 320, code=code)
-    assert ended.returncode == 130, ended.stderr
+    assert ended.returncode == status, ended.stderr
     assert "Traceback" not in ended.stderr
     assert "interrupted; what was finished is kept" in ended.stderr
     saved = timesteps(run)

@@ -242,7 +242,11 @@ def test_05_no_two_returned_arrays_share_memory(kind, bank):
 # ---- 11 ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("context", ["spawn", "forkserver"])
+forks = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+
+
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+@pytest.mark.parametrize("context", [pytest.param("fork", marks=forks), "spawn", "forkserver"])
 def test_11_workers_find_it_by_name(context, bank, tmp_path):
     single = partial(gym.make, ENV_NAME, bank=str(bank.save(tmp_path / "bank")), reselection=4)
     workers = AsyncVectorEnv([single] * 2, context=context)
@@ -254,6 +258,39 @@ def test_11_workers_find_it_by_name(context, bank, tmp_path):
             assert_same(first[:4], second[:4])
     finally:
         workers.close()
+
+
+FORKS = """
+import os, sys, time, warnings
+import cv2, numpy as np
+import gymnasium as gym
+warnings.filterwarnings("ignore", ".*fork.*", DeprecationWarning)
+env = gym.make("amusic_gym:amusic_gym/TechniqueSelection-v0", bank=sys.argv[1],
+               render_mode="rgb_array")
+env.reset(seed=0)
+cv2.setNumThreads(4)
+for attempt in range(16):
+    picture = env.render()
+    cv2.resize(np.zeros((1500, 1500), np.uint8), (2000, 2000))  # wakes all threads
+    child = os.fork()
+    if not child:
+        cv2.setNumThreads(1 + attempt % 2)
+        os._exit(int((env.render() != picture).any()))
+    for _ in range(1000):
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            break
+        time.sleep(0.01)
+    else:
+        os.kill(child, 9)
+        sys.exit("a forked child hangs")
+    assert status == 0 and cv2.getNumThreads() == 4
+"""
+
+
+@forks
+def test_11_a_forked_process_renders_after_its_parent_has_rendered(bank, tmp_path):
+    python(FORKS, bank.save(tmp_path / "bank"))
 
 
 # ---- 40 ----------------------------------------------------------------------------------

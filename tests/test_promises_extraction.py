@@ -343,10 +343,11 @@ def described(place: Path) -> int:
     [("serial", {}), ("process:2", {"TEST_WHOM": "group"})],
     ids=["serial", "process"],
 )
-def test_34_ctrl_c_keeps_what_is_finished(folder, serial, tmp_path, executor, whom):
-    stop = {"TEST_SIGNAL": "SIGINT", "TEST_AFTER": str(2 * BLOCK + 5), **whom}
+@pytest.mark.parametrize(("number", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
+def test_34_52_what_is_finished_is_kept(folder, serial, tmp_path, executor, whom, number, status):
+    stop = {"TEST_SIGNAL": number, "TEST_AFTER": str(2 * BLOCK + 5), **whom}
     first = command(folder, tmp_path, executor, **stop)
-    assert first.returncode == 130
+    assert first.returncode == status
     assert first.stderr == "interrupted; what was finished is kept\n"
     assert not (tmp_path / "bank").exists()
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["cache", "log", "marker"]

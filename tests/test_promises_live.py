@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import os
 import pickle
 import subprocess
 import sys
@@ -12,10 +13,13 @@ import cv2
 import numpy as np
 import pytest
 from env_cases import assert_same, digest, play, random_actions
+from gymnasium.vector import AsyncVectorEnv
 from live_cases import Broken, Columns, live_of, map_of, maps_of, traverse
 from test_navigation import make
 
 from amusic_gym.env import TechniqueSelectionEnv
+from amusic_gym.extraction.blocks import BLOCK
+from amusic_gym.extraction.map import DescribedMap
 from amusic_gym.navigation import navigate
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
@@ -51,6 +55,29 @@ def test_1_same_actions_same_trajectory_single_and_vector():
     vector = TechniqueSelectionVectorEnv(1, live, reselection=3)
     rewards = [step[1][0] for step in play(vector, actions[:, None], 5)[1:]]
     assert rewards == [step[1] for step in first[1:21]]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_11_a_forked_worker_matches_on_threads_of_its_own():
+    """The map has several blocks, and its threads have begun in the parent."""
+    one = map_of(traverse(BLOCK + 10, 1), Columns("HOG", 1, 0))
+    several = DescribedMap(one.technique, list(one), threads=2)
+    live = live_of([several], traverse(8, 2))
+    actions = np.ones((6, 2, 1), np.int8)
+    expected = play(TechniqueSelectionVectorEnv(2, live), actions, 5)
+    assert several._pool is not None
+    workers = AsyncVectorEnv([lambda: TechniqueSelectionEnv(live)] * 2, context="fork")
+    try:
+        steps = [workers.reset(seed=5)]
+        for action in actions:
+            workers.step_async(action)
+            steps.append(workers.step_wait(timeout=30))
+        for got, wanted in zip(steps, expected, strict=False):
+            assert_same(got[0], wanted[0])
+    finally:
+        workers.close(terminate=True)
+    several.close()
 
 
 @pytest.mark.parametrize("way", ["deepcopy", "pickle", "another process"])

@@ -198,7 +198,10 @@ def test_10_zero_envs_are_refused(number, bank):
     ("wrong", "words"),
     [
         ({"statistic": "evidnce"}, "'evidnce': did you mean 'evidence'. valid: mean, evidence"),
-        ({"render_mode": "xyz"}, "unknown render mode 'xyz': valid: ansi, rgb_array, human"),
+        (
+            {"render_mode": "xyz"},
+            "unknown render mode 'xyz': valid: ansi, rgb_array, rgb_array_list, human",
+        ),
         ({"render_mode": "ANSI"}, "unknown render mode 'ANSI': did you mean 'ansi'"),
         ({"costs": "paprika"}, "'paprika': did you mean 'paper'. valid: measured, paper, runs"),
         ({"reward": "truth"}, "'truth': .*valid: estimated, ground_truth"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import pty
 import signal
 import subprocess
 import sys
@@ -337,3 +338,73 @@ def test_scripts_import_first_what_makes_ctrl_c_end_well(name):
         assert "\nfrom _cli import" in (SCRIPTS / "_bank_images.py").read_text(encoding="utf-8")
     else:
         assert first == "_cli"
+
+
+# ---- 52 ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in SCRIPTS.glob("[!_]*.py")))
+def test_52_every_script_takes_its_signals_in_one_place(name):
+    assert "\n    run(main)\n" in (SCRIPTS / name).read_text(encoding="utf-8")
+
+
+STOPPING = """
+import os, signal, time
+def main():
+    try:
+        print('running', flush=True)
+        time.sleep(30)
+    finally:
+        for number in (signal.SIGTERM, signal.SIGHUP):  # as a closing terminal sends them
+            os.kill(os.getpid(), number)
+        print('saved', flush=True)
+"""
+
+
+@pytest.mark.parametrize("ignored", [[], [signal.SIGINT]], ids=["", "in the background"])
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_52_sigterm_and_sighup_are_as_ctrl_c_and_count_once(number, status, ignored):
+    ignoring = "".join(f"signal.signal({n:d}, signal.SIG_IGN)\n" for n in ignored)
+    ended = process(f"{STOPPING}{ignoring}_cli.run(main)", stdout=subprocess.PIPE)
+    assert ended.stdout is not None
+    assert ended.stdout.readline() == "running\n"
+    ended.send_signal(number)
+    out, err = ended.communicate(timeout=60)
+    assert (out, err) == ("saved\n", "interrupted; what was finished is kept\n")
+    assert ended.returncode == status
+
+
+def test_52_under_nohup_a_terminal_may_go():
+    ended = process(
+        "import os, signal\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        "_cli.run(lambda: (os.kill(os.getpid(), signal.SIGHUP), print('goes on'))[0])"
+    )
+    assert ended.communicate(timeout=60) == ("goes on\n", "")
+    assert ended.returncode == 0
+
+
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_52_a_terminal_that_hangs_up_costs_nothing_that_was_finished(tmp_path):
+    """Nothing can be printed any more, neither results nor the notice."""
+    kept = tmp_path / "kept"
+    code = (
+        "import pathlib, sys, time\nsys.path.insert(0, sys.argv.pop(1))\nimport _cli\n"
+        "def main():\n"
+        "    try:\n        print('running', flush=True)\n        time.sleep(30)\n"
+        f"    finally:\n        pathlib.Path({str(kept)!r}).touch()\n        print('saved')\n"
+        "_cli.run(main)"
+    )
+    child, terminal = pty.fork()
+    if not child:
+        os.execv(sys.executable, [sys.executable, "-c", code, str(SCRIPTS)])
+    assert b"running" in os.read(terminal, 100)
+    os.close(terminal)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 129
+    assert kept.exists()
+
+
+def test_52_handlers_are_as_before_when_a_script_has_ended(cli):
+    before = [signal.getsignal(number) for number in cli.STOPS]
+    with pytest.raises(SystemExit):
+        cli.run(lambda: 0)
+    assert [signal.getsignal(number) for number in cli.STOPS] == before

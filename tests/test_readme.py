@@ -6,8 +6,10 @@ import re
 import shlex
 import subprocess
 import sys
+import textwrap
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -143,6 +145,32 @@ def test_the_python_of_the_readme_runs(
     printed = capsys.readouterr().out
     for name in ("learned", "A-MuSIC"):
         assert re.search(line.format(name), printed, re.MULTILINE)
+
+
+def test_stable_baselines_learns_many_times_as_the_readme_says() -> None:
+    import gymnasium as gym
+    from stable_baselines3 import A2C, DQN, SAC, TD3
+
+    found = re.search(
+        r"^    from agents\.adapter.*?\.learn\(.*?\)$", README.read_text("utf-8"), re.M | re.S
+    )
+    assert found
+    code = textwrap.dedent(found[0])
+    size = {name: int(re.search(rf"{name}=(\d+)", code)[1]) for name in ("num_envs", "n_steps")}  # type: ignore[index]
+    frames = int(re.search(r"learn\(([\d_]+)\)", code)[1])  # type: ignore[index]
+    assert frames >= 20 * size["num_envs"] * size["n_steps"]  # updates
+    for long, short in (("num_envs=64", "num_envs=2"), ("n_steps=128", "n_steps=8, batch_size=8")):
+        assert code.count(long) == 1
+        code = code.replace(long, short)
+    begin, last = code.rsplit("\n", 1)
+    values: dict[str, Any] = {"gym": gym}
+    exec(f"{begin}\nmodel = {last.replace(f'{frames:_}', '48')}", values)
+    assert values["model"]._n_updates == 3 * values["model"].n_epochs
+    env = values["model"].env
+    assert A2C("MlpPolicy", env, n_steps=2).learn(8).num_timesteps == 8
+    for other in (DQN, SAC, TD3):
+        with pytest.raises(AssertionError, match="only supports"):
+            other("MlpPolicy", env)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

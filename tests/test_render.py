@@ -55,7 +55,7 @@ def on_screen(pygame) -> np.ndarray:
 
 def test_the_modes_are_declared(bank):
     for env in (TechniqueSelectionEnv(bank), TechniqueSelectionVectorEnv(2, bank)):
-        assert env.metadata["render_modes"] == ["ansi", "rgb_array", "human"]
+        assert env.metadata["render_modes"] == ["ansi", "rgb_array", "rgb_array_list", "human"]
         assert env.metadata["render_fps"] == 10
         assert env.render() is None
 

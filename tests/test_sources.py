@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -189,6 +191,18 @@ def test_routes_that_were_let_go_come_back_the_same():
     for number in (0, 1, 2, 0):
         both = [infos_of(e, actions, options={"bank": number}) for e in (env, kept)]
         assert_same(*both)
+
+
+def test_a_drawn_route_is_let_go_when_its_episode_is_over():
+    env = TechniqueSelectionEnv()
+    _, info = env.reset(seed=0)
+    first = weakref.ref(env.task.episodes.routes[0].bank)
+    asked = env.reset(options={"bank": 7}) and weakref.ref(env.task.episodes.routes[0].bank)
+    env.reset()
+    gc.collect()
+    assert first() is None
+    assert asked() is not None
+    assert env.reset(seed=0)[1]["route"] == info["route"]
 
 
 def test_given_banks_are_a_source_of_routes(bank):

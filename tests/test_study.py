@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
+import sys
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,6 +20,7 @@ from amusic_gym import study
 from amusic_gym.audit import audit
 from amusic_gym.bank import ScoreBank
 from amusic_gym.comparison import Contestant
+from amusic_gym.imports import PACKAGE
 from amusic_gym.metrics import mean_rows, summarise
 from amusic_gym.policy import Context
 from amusic_gym.rollout import rollout
@@ -321,18 +324,48 @@ def test_names_are_no_part_of_a_cell():
     assert one_cell(seeds=(3,), draws=True) != one_cell(seeds=(4,), draws=True)
 
 
-def test_code_that_only_shows_is_no_part_of_a_cell(tmp_path, monkeypatch):
-    package = tmp_path / "amusic_gym"
-    for name in ("plots/front.py", "study/tables.py", "study/cells.py", "sic.py", "a.json"):
-        (package / name).parent.mkdir(parents=True, exist_ok=True)
-        (package / name).write_text("1", encoding="utf-8")
-    monkeypatch.setattr(store.amusic_gym, "__file__", str(package / "__init__.py"))
-    seen = [store.code()]
-    for name in ("plots/front.py", "study/tables.py", "study/cells.py", "sic.py", "a.json"):
-        (package / name).write_text("2", encoding="utf-8")
-        seen.append(store.code())
-    assert seen[0] == seen[1] == seen[2]
-    assert len(set(seen)) == 4
+@pytest.fixture(scope="module")
+def package(tmp_path_factory):
+    """A copy of the package's text and data."""
+    ignored = shutil.ignore_patterns("__pycache__", "*.nb?")
+    return shutil.copytree(PACKAGE, tmp_path_factory.mktemp("copy") / "amusic_gym", ignore=ignored)
+
+
+def changed(path, stamp):
+    """Whether one more byte in a file changes a stamp."""
+    before, text = stamp(), path.read_bytes()
+    path.write_bytes(text + b"\n")
+    after = stamp()
+    path.write_bytes(text)
+    return before != after
+
+
+def test_53_every_file_that_a_cell_depends_on_is_in_its_stamp(package):
+    measuring = store.sources(package)
+    names = {path.relative_to(package).as_posix() for path in measuring}
+    assert {"sic.py", "belief/rates.json", "calibration.json", "study/cells.py"} <= names
+    for path in [*measuring[::6], package / "observation.py", package / "belief" / "rates.json"]:
+        assert changed(path, partial(store.code, package)), path
+
+
+def test_53_what_a_cell_runs_is_in_its_stamp():
+    ran, plan = set(), plan_of(FIXED[:1], banks(1))
+    sys.setprofile(lambda frame, *_: ran.add(frame.f_code.co_filename))
+    try:
+        for cell in plan.cells[:2]:
+            cell.run(plan.bench)
+    finally:
+        sys.setprofile(None)
+    files = {path for path in map(Path, ran) if PACKAGE in path.parents}
+    assert {"episode.py", "retime.py"} <= {path.name for path in files}
+    showing = {path for path in files if path.relative_to(PACKAGE).parts[0] in store._SHOWING}
+    assert files - showing <= set(store.sources())
+
+
+def test_code_that_only_shows_is_no_part_of_a_cell(package):
+    for name in ("plots/curves.py", "study/tables.py", "routes/rendered/facades.py"):
+        assert (package / name).exists()
+        assert not changed(package / name, partial(store.code, package)), name
 
 
 @pytest.mark.parametrize("damage", ["truncated", "empty", "garbage", "flipped", "other", "list"])
@@ -875,12 +908,13 @@ def test_command_runs_prints_and_resumes(run, tmp_path, folders, trained):  # no
     assert dry.stdout.splitlines()[-1] == "22 of 22 cells finished, 0 to compute"
 
 
-def test_34_ctrl_c_keeps_the_finished_cells_and_exits_130(tmp_path, folders):
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_34_52_a_stopped_study_keeps_the_finished_cells(tmp_path, folders, number, status):
     out = tmp_path / "out"
     words = ["--bank", folders[0], "--out", out, "--seeds", 1, "--policy", "music", "single:T0"]
     words += ["--statistic", "evidence"]
-    stopped = run_and_stop(signal.SIGINT, 2, "study.py", *words)
-    assert stopped.returncode == 130
+    stopped = run_and_stop(number, 2, "study.py", *words)
+    assert stopped.returncode == status
     assert stopped.stderr == "interrupted; what was finished is kept\n"
     assert len(list((out / "cells").glob("*.json"))) == 2
     assert not (out / "study.json").exists()

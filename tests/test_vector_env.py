@@ -121,6 +121,23 @@ def test_options_with_one_entry_per_route(bank):
     assert ends == [[False] * 3] * 3 + [[False, True, False]]
 
 
+@pytest.mark.parametrize("value", [[0.1, 1.0, 10.0], np.array([0.1]), (1,), [[1, 2]]])
+@pytest.mark.parametrize("name", ["compute_weight", "start", "bank"])
+def test_one_entry_per_route_is_for_the_native_one_alone(bank, name, value):
+    envs = [TechniqueSelectionEnv(bank), SyncVectorEnv([lambda: TechniqueSelectionEnv(bank)] * 3)]
+    for env in envs:
+        with pytest.raises(ValueError, match=f"reset option {name} is .* one entry per route is"):
+            env.reset(options={name: value})
+        env.reset(options={name: np.int64(0), "compute_weight": np.array(0.5)})
+
+
+@pytest.mark.parametrize("entries", [1, 2, 4])
+def test_entries_for_another_number_of_routes_are_refused(bank, entries):
+    native = TechniqueSelectionVectorEnv(3, bank)
+    with pytest.raises(ValueError, match=f"'start' has {entries} entries for 3 routes; give one"):
+        native.reset(options={"start": [0] * entries})
+
+
 def test_a_mask_leaves_the_other_routes_alone(bank):
     masked, plain = (TechniqueSelectionVectorEnv(3, bank) for _ in range(2))
     for env in (masked, plain):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from amusic_gym._compile import apart, inner, spliced
+from amusic_gym._compile import apart, compiled, inner, spliced, without_gil
 from amusic_gym._tables import part
 from amusic_gym.belief.memory import REACH, Minds, copy_mind, hearing_at
 from amusic_gym.belief.motion import move
 from amusic_gym.belief.places import conclude, looks_of, places_of, testify, weigh_places
-from amusic_gym.belief.rates import LOCKED, WAYS, kernel, preparing_kernel
+from amusic_gym.belief.rates import LOCKED, WAYS
 from amusic_gym.belief.rows import RECENT, listen, total
 from amusic_gym.belief.trust import learn, likelihood, voice
 from amusic_gym.rows import prepare, top_at
@@ -161,7 +161,7 @@ def hear(minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any, tole
     filter_frame(minds, which, i, frame, runs, ran, tolerance)
 
 
-@kernel
+@without_gil
 def hear_routes(address: int) -> None:
     """Take the next frame of every active route into its belief.
 
@@ -175,7 +175,7 @@ def hear_routes(address: int) -> None:
             hear(minds, 0, i, routes[i].frame + 1, runs[i], ran[i], routes[i].tolerance)
 
 
-@preparing_kernel
+@compiled
 def prepare_rows(address: int) -> None:
     """Prepare the rows that :func:`hear_routes` will need: several routes may share them.
 
@@ -208,7 +208,7 @@ def hear_again(table: Any, i: int, first: int, stop: int) -> None:
             table.corrections[i, s, frame - first] = known.correction
 
 
-@preparing_kernel
+@compiled
 def look_back(address: int) -> None:
     """Run all techniques on the last frames of the routes that want it, after the fact.
 

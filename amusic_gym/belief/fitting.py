@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from amusic_gym._compile import without_gil
 from amusic_gym.bank import ScoreBank
 from amusic_gym.belief.filter import hear
 from amusic_gym.belief.memory import MINDS, allocate, begin, minds_at
-from amusic_gym.belief.rates import Rates, kernel
+from amusic_gym.belief.rates import Rates
 from amusic_gym.rows import RUN
 
 LEAST = 1e-3
@@ -120,7 +121,7 @@ def _value(part: float, limits: Limits) -> float:
     return float(low * (high / low) ** part if logarithmic else low + part * (high - low))
 
 
-@kernel
+@without_gil
 def drive_route(
     address: int, runs: Any, ran: Any, truth: Any, tolerance: int, places: Any, beliefs: Any
 ) -> None:

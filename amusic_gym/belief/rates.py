@@ -7,17 +7,8 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from amusic_gym._compile import inner, standalone
+from amusic_gym._compile import inner
 from amusic_gym._tables import Layout
-
-SOURCES = ("rates.py", "rows.py", "trust.py", "motion.py", "places.py", "memory.py", "filter.py")
-_FILES = ("_tables.py", "records.py", "rows.py", *(f"belief/{name}" for name in SOURCES))
-
-kernel = standalone(*_FILES)
-"""Compiles what is called from Python here."""
-
-preparing_kernel = standalone(*_FILES, nogil=False)
-"""As ``kernel``, for what writes to the prepared rows of a bank, which others may drive on, too."""
 
 SPEEDS = 5
 """Ways of moving with jumps: 0, 0.5, 1, 1.5 and 2 places per frame."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import contextlib
 import hashlib
 import importlib.metadata
@@ -11,7 +10,6 @@ import inspect
 import json
 import marshal
 import sys
-from collections.abc import Iterator
 from functools import cache
 from importlib.machinery import ModuleSpec
 from pathlib import Path
@@ -20,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from amusic_gym.imports import imports_of
 from amusic_gym.techniques.own_code import guarded, is_local
 from amusic_gym.techniques.protocol import Technique
 
@@ -105,7 +104,7 @@ def _code_of(kind: type) -> tuple[str, tuple[str, ...]]:
         text = file.read_bytes()
         digest.update(hashlib.sha256(text).digest())
         home = module.partition(".")[0]
-        for name in _imports(text, module, is_package=file.name == "__init__.py"):
+        for name in imports_of(text, module, is_package=file.name == "__init__.py"):
             top = name.partition(".")[0]
             if top in (home, _PACKAGE) or _is_own(top):
                 pending += [name, top]  # the latter: a package's own file is run first
@@ -122,25 +121,6 @@ def _is_own(top: str) -> bool:
     file = _file_of(top)
     places = [str(file)] if file is not None else [str(each) for each in _folders_of(top)]
     return bool(places) and all(map(is_local, places))
-
-
-def _imports(text: bytes, module: str, *, is_package: bool) -> Iterator[str]:
-    """Dotted names that a source file imports anywhere, with those that may be modules."""
-    try:
-        tree = ast.parse(text)
-    except SyntaxError:  # imported where that does no harm, if at all
-        return
-    parts = [*module.split("."), "__init__"] if is_package else module.split(".")
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            start = node.module or ""
-            if node.level:
-                parents = parts[: -node.level]
-                start = ".".join([*parents, *filter(None, [node.module])])
-            yield start
-            yield from (f"{start}.{alias.name}" for alias in node.names)
 
 
 @cache

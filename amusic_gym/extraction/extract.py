@@ -19,7 +19,7 @@ from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.describe import Plan, images_of, match, score_rows
 from amusic_gym.extraction.executors import Executor, make_executor
 from amusic_gym.extraction.progress import Progress
-from amusic_gym.extraction.seconds import seconds_of
+from amusic_gym.extraction.seconds import known_cost
 from amusic_gym.ground_truth import GroundTruth, resolve_ground_truth
 from amusic_gym.names import suggest
 from amusic_gym.routes.folders import ImageFolder
@@ -160,12 +160,16 @@ def _run(
     begun = time.monotonic()
     with where.workers(plan.technique) as workers:
         pairs = match(plan, cache, workers, say)
-        cost = declared or seconds_of(plan, cache, workers, say, again=again)
+        if declared:
+            cost, told = declared, f"{declared:.4g} s per run"
+        else:
+            measured = known_cost(plan, cache, workers, say, again=again)
+            cost, told = measured.seconds, str(measured)
     known = "" if pairs else ", all from the cache"
     say.line(
         f"{plan.technique.name}: {sum(map(len, plan.queries))} queries × "
         f"{sum(map(len, plan.references))} places in {time.monotonic() - begun:.1f} s{known}; "
-        f"{cost:.4g} s per run"
+        f"{told}"
     )
     return cost
 

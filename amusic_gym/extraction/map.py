@@ -54,6 +54,7 @@ class DescribedMap(Sequence[Descriptor]):
     def _open(self) -> None:
         self._blocks = tuple(_read_only(block) for block in self._given)
         self._pool: ThreadPoolExecutor | None = None
+        self._owner = os.getpid()  # of the pool: a forked process has it without its threads
 
     @overload
     def __getitem__(self, at: int) -> Descriptor: ...
@@ -95,7 +96,8 @@ class DescribedMap(Sequence[Descriptor]):
     def _match(self, query: Descriptor) -> Iterator[NDArray[np.float32]]:
         if self._threads == 1 or len(self) == 1:
             return (match_one(self.technique, query, block) for block in self)
-        if self._pool is None:
+        if self._pool is None or self._owner != os.getpid():
+            self._owner = os.getpid()
             self._pool = ThreadPoolExecutor(
                 self._threads, "amusic-match", initializer=limit_this_thread
             )
@@ -103,9 +105,9 @@ class DescribedMap(Sequence[Descriptor]):
 
     def close(self) -> None:
         """End the threads; they come back with the next query."""
-        if self._pool is not None:
+        if self._pool is not None and self._owner == os.getpid():
             self._pool.shutdown()
-            self._pool = None
+        self._pool = None
 
     def __copy__(self) -> DescribedMap:
         return self

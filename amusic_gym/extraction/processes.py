@@ -23,6 +23,8 @@ from amusic_gym.techniques.protocol import Technique
 
 _GONE = (EOFError, OSError)  # what a pipe raises whose other end died, also in mid-message
 
+_STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
 
 class Processes:
     """Runs shards in ``count`` processes, which start as they are needed.
@@ -168,9 +170,9 @@ class _Worker:
 
 @contextlib.contextmanager
 def _interrupts_held_back() -> Iterator[None]:
-    """Ctrl-C reaches this process after the block, and a process started in it never."""
+    """Ctrl-C and its like reach this process after the block, a process started in it never."""
     resource_tracker.ensure_running()  # else the first start starts it, which lets signals in
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
     try:
         yield
     finally:
@@ -179,6 +181,7 @@ def _interrupts_held_back() -> Iterator[None]:
 
 def _serve(connection: Connection, data: bytes) -> None:
     """What a worker does until its pipe is closed."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])  # by which it is stopped
     technique: Technique | None = None
     while True:
         try:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import os
 import platform
 import time
+import warnings
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from amusic_gym.extraction.blocks import Images, aligned, describe_one, match_one
 from amusic_gym.extraction.cache import Cache
@@ -20,13 +23,55 @@ from amusic_gym.threads import one_thread
 QUERIES = 5
 """Frames that are timed, after one to warm up."""
 
+REPEATS = 3
+"""How often each is timed, in rounds over all of them."""
+
+STEADY = 0.25
+"""Spread up to which a measurement is believed without a warning."""
+
+SHORTEST = 1e-3
+"""Seconds below which every clock's measurement spreads, and no cost turns on it."""
+
 BLOCKS = 3
 """Blocks of the map that they are matched with; the time is scaled to the whole map."""
 
 
-def measure_seconds(
+class Cost(NamedTuple):
+    """What a run costs.
+
+    Attributes:
+        seconds: the median.
+        spread: share of it by which the middle half of the runs of a frame differ from its median.
+    """
+
+    seconds: float
+    spread: float
+
+    def __str__(self) -> str:
+        """For a person."""
+        return f"{self.seconds:.4g} s per run (±{self.spread:.0%})"
+
+    def warn(self, technique: str) -> None:
+        """Warn where something else was running, or the technique is of no steady pace."""
+        if self.spread > STEADY and self.seconds >= SHORTEST:
+            warnings.warn(
+                f"technique {technique!r} took {self}; measure again on an idle machine"
+                " (bank.py --measure-again), or give its seconds",
+                stacklevel=3,
+            )
+
+
+def cost_of(runs: ArrayLike) -> Cost:
+    """Median and spread of the seconds of runs, (rounds, frames)."""
+    taken = np.asarray(runs, np.float64)
+    medians = np.median(taken, axis=0)
+    low, high = np.percentile(taken / np.maximum(medians, np.finfo(float).tiny), [25, 75])
+    return Cost(float(np.median(medians)), float(max(high - 1.0, 1.0 - low)))
+
+
+def measure_cost(
     technique: Technique, images: Sequence[Image], blocks: Sequence[Descriptor], references: int
-) -> float:
+) -> Cost:
     """Seconds of one warm run on one thread: describe a query and match it with the whole map.
 
     Reading the image from disk does not count: on a robot it comes from a camera.
@@ -44,7 +89,12 @@ def measure_seconds(
     scale = references / sum(len(block) for block in blocks)
     with one_thread():
         _time_one(technique, images[0], blocks, scale)
-        return float(np.median([_time_one(technique, image, blocks, scale) for image in images]))
+        return cost_of(
+            [
+                [_time_one(technique, image, blocks, scale) for image in images]
+                for _ in range(REPEATS)
+            ]
+        )
 
 
 def _time_one(
@@ -58,10 +108,10 @@ def _time_one(
     return described - begun + scale * (time.perf_counter() - described)
 
 
-def seconds_of(
+def known_cost(
     plan: Plan, cache: Cache, workers: Workers, progress: Progress, *, again: bool
-) -> float:
-    """Measured seconds, or those that the cache remembers of this machine.
+) -> Cost:
+    """Measured cost, or that which the cache remembers of this machine; warned of where unsteady.
 
     The same command gives the same bank twice, and does not measure while something else runs.
 
@@ -79,19 +129,23 @@ def seconds_of(
         "seconds",
         images=sample.keys,
         references=references,
+        repeats=REPEATS,
         machine=[platform.node(), platform.machine(), os.cpu_count()],
     )
     known = None if again else cache.get(key)
     if known is None:
         stored = describe(plan, cache, workers, progress, query=False, only=chosen)
-        value = measure_seconds(
+        measured = measure_cost(
             plan.technique,
             [sample.read(at) for at in range(len(sample))],
             [aligned(block.array()) for block in stored],
             references,
         )
-        known = cache.put(key, np.array([value], np.float32))
-    return float(f"{known.array()[0]:.4g}")  # more digits would be noise
+        known = cache.put(key, np.array(measured, np.float32))
+    seconds, spread = known.array().tolist()
+    cost = Cost(float(f"{seconds:.4g}"), spread)  # more digits would be noise
+    cost.warn(plan.technique.name)
+    return cost
 
 
 def _sample(queries: Sequence[Images]) -> Images:

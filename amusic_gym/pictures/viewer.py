@@ -14,7 +14,7 @@ from amusic_gym.window import Window
 if TYPE_CHECKING:
     from amusic_gym.episode import Episodes, Route
 
-PICTURE_MODES = ("rgb_array", "human")
+PICTURE_MODES = ("rgb_array", "rgb_array_list", "human")
 """Render modes that make pictures."""
 
 MOST_SHOWN = 9
@@ -33,7 +33,8 @@ class Viewer:
 
     Args:
         episodes: the batch.
-        mode: one of ``PICTURE_MODES``; ``"human"`` shows every look in a window.
+        mode: one of ``PICTURE_MODES``; ``"human"`` shows every look in a window,
+            ``"rgb_array_list"`` keeps a picture of each.
         fps: the most looks per second in the window.
 
     Raises:
@@ -43,16 +44,22 @@ class Viewer:
     def __init__(self, episodes: Episodes, mode: str, fps: float) -> None:
         self.episodes = episodes
         self.window = Window("amusic-gym", fps) if mode == "human" else None
+        self.mode = mode
         self.trails = [Trail() for _ in range(episodes.num_routes)]
+        self._kept: list[list[NDArray[np.uint8]]] = [[] for _ in self.trails]
 
     def look(self) -> None:
         """Remember what happened on each route since the last look, and show it in the window."""
         for i, record in enumerate(self.episodes.state.routes):
             frame = int(record["frame"])
             if frame < 0:
-                self.trails[i] = Trail()
+                self.trails[i], self._kept[i] = Trail(), []
             elif frame == len(self.trails[i]):
                 self._remember(i, record)
+            else:
+                continue
+            if self.mode == "rgb_array_list":
+                self._kept[i].append(self._picture(i))
         if self.window is not None:
             from amusic_gym.pictures.layout import tile
 
@@ -72,14 +79,24 @@ class Viewer:
 
     def pictures(self, most: int | None = None) -> tuple[NDArray[np.uint8], ...]:
         """N pictures, (540, 960, 3) uint8 red-green-blue each; of the first ``most`` routes."""
+        return tuple(self._picture(i) for i in range(len(self.trails[:most])))
+
+    def shown(self) -> tuple[Any, ...] | None:
+        """For every route its picture, or those since it was asked last; None for a window."""
+        if self.mode == "rgb_array":
+            return self.pictures()
+        if self.mode == "human":
+            return None
+        shown, self._kept = tuple(self._kept), [[] for _ in self.trails]
+        return shown
+
+    def _picture(self, i: int) -> NDArray[np.uint8]:
         from amusic_gym.pictures.layout import draw, notice
 
-        return tuple(
-            notice("no route yet; call reset first")
-            if route is None
-            else draw(self._scene(i, route))
-            for i, route in enumerate(self.episodes.routes[:most])
-        )
+        route = self.episodes.routes[i]
+        if route is None:
+            return notice("no route yet; call reset first")
+        return draw(self._scene(i, route))
 
     def _scene(self, i: int, route: Route) -> Scene:
         record, trail, bank = self.episodes.state.routes[i], self.trails[i], route.bank

@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import amusic_gym
-from amusic_gym.comparison_files import file_digest
 from amusic_gym.extraction.code import key_of
+from amusic_gym.imports import PACKAGE, digest_of, source_files
 from amusic_gym.study.cells import Measures
 from amusic_gym.trace import write_whole
 
@@ -17,24 +16,21 @@ FORMAT_VERSION = 3
 
 FOLDER = "cells"
 
-_SHOWING = ("extraction", "pictures", "plots", "study", "techniques")
-_SHOWN = ("importers.py", "navigation.py", "report.py", "video.py", "window.py")
-_MEASURING = "study/cells.py"
+_SHOWING = ("navigation", "pictures", "plots", "report", "window")
+"""Modules and subpackages that only show results: a better figure costs no cell of a study."""
 
 
-def code() -> str:
-    """Digest of the package's code and data that a cell's numbers depend on.
+def sources(package: Path = PACKAGE) -> tuple[Path, ...]:
+    """The package's code that a cell's numbers depend on, and the data beside it."""
+    without = [f"{package.name}.{name}" for name in _SHOWING]
+    files = source_files(package / "study" / "cells.py", package=package, without=without)
+    data = {at for folder in {file.parent for file in files} for at in folder.glob("*.json")}
+    return (*files, *sorted(data))
 
-    Left out is what works on images, and what only shows results: a better figure must not cost
-    the cells of a long study.
-    """
-    package = Path(amusic_gym.__file__).parent
-    digests = {}
-    for file in (file for kind in ("*.py", "*.json") for file in package.rglob(kind)):
-        name = file.relative_to(package).as_posix()
-        if name == _MEASURING or not (name.partition("/")[0] in _SHOWING or name in _SHOWN):
-            digests[name] = file_digest(file)
-    return key_of(**digests)
+
+def code(package: Path = PACKAGE) -> str:
+    """Digest of :func:`sources`."""
+    return digest_of(*sources(package))
 
 
 def stem(key: Mapping[str, Any]) -> str:

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from amusic_gym._compile import standalone
+from amusic_gym._compile import without_gil
 
 RADIUS = 5
 """Of the disk around a pixel: all pixels at most so far away, centre to centre."""
 
 
-@standalone()
+@without_gil
 def local_entropy(grey: Any, entropy: Any) -> None:
     """Entropy in bits of the grey values within ``RADIUS`` of each pixel and inside the image.
 
@@ -47,7 +47,7 @@ def local_entropy(grey: Any, entropy: Any) -> None:
                     counts[grey[row, column]] = 0
 
 
-@standalone()
+@without_gil
 def add_directions(strength: Any, turn: Any, cells: Any) -> None:
     """Share each pixel's strength between the two bins that are next to its direction.
 

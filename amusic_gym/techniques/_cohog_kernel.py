@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from amusic_gym._compile import inner, standalone
+from amusic_gym._compile import inner, without_gil
 from amusic_gym.techniques._cohog_lanes import (
     LANES,
     add,
@@ -164,7 +164,7 @@ def _weighted_sum(query: Any, best: Any) -> float:
     return total
 
 
-@standalone("techniques/_cohog_lanes.py")
+@without_gil
 def match_regions(query: Any, references: Any, scores: Any) -> None:
     """Scores of one query against B references, each by itself, without Python's lock.
 
