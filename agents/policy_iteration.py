@@ -296,15 +296,20 @@ class Collectors:
         if config.threads == 1:
             _begin(one, source)
         else:
+            self._others = set(multiprocessing.active_children())
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(config.threads, context, _begin, (one, source))
 
     def __enter__(self) -> Collectors:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
+    def __exit__(self, error: type[BaseException] | None, *_: object) -> None:
+        if self._pool is None:
+            return
+        if error is not None:  # what the others are at is of no use any more
+            for process in set(multiprocessing.active_children()) - self._others:
+                process.terminate()
+        self._pool.shutdown(cancel_futures=True)
 
     def collect(
         self, policy: SubsetSelector | None, rng: np.random.Generator, bar: tqdm
