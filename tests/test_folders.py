@@ -19,7 +19,7 @@ from amusic_gym.ground_truth import GroundTruth
 from amusic_gym.importers import from_vprbench
 from amusic_gym.routes import image_truth
 from amusic_gym.routes.folders import ImageFolder
-from amusic_gym.routes.numbering import gaps, natural_key, path_key, same_numbers
+from amusic_gym.routes.numbering import arranged, gaps, natural_key, same_numbers
 
 DATA = os.environ.get("AMUSIC_DATA")
 needs_data = pytest.mark.skipif(not DATA, reason="AMUSIC_DATA names no folder of recordings")
@@ -70,7 +70,7 @@ def test_natural_order_agrees_with_the_order_of_integers(before, numbers, width,
 def test_natural_order_agrees_with_the_order_of_several_integers(rows):
     texts = [f"run{a}_cam{b}/frame{c}" for a, b, c in rows]
     expected = [f"run{a}_cam{b}/frame{c}" for a, b, c in sorted(rows)]
-    assert sorted(texts, key=lambda text: path_key(PurePath(text))) == expected
+    assert [texts[at] for at in arranged([PurePath(text) for text in texts])] == expected
 
 
 @given(st.lists(st.text(alphabet="abcz_-", max_size=6)))
@@ -91,7 +91,7 @@ def test_upper_and_lower_case_only_break_ties():
 def test_shorter_names_come_first_and_folders_compare_as_wholes():
     paths = ["a10/1.png", "a2/9.png", "a2/10.png", "a2-b/1.png", "img1-2.png", "img1.png"]
     ordered = ["a2/9.png", "a2/10.png", "a2-b/1.png", "a10/1.png", "img1.png", "img1-2.png"]
-    assert sorted(paths, key=lambda path: path_key(PurePath(path))) == ordered
+    assert [paths[at] for at in arranged([PurePath(path) for path in paths])] == ordered
 
 
 # ---- gaps ---------------------------------------------------------------------------------
