@@ -183,7 +183,12 @@ def add_images(commands: Any) -> Parser:
     )
     parser.set_defaults(run=images)
     add = parser.add_argument
-    add("--reference", type=Path, metavar="DIR", help="the map's images, in the order of their names")
+    add(
+        "--reference",
+        type=Path,
+        metavar="DIR",
+        help="the map's images, in the order of their names",
+    )
     add("--query", type=Path, metavar="DIR", help="the run's images")
     add("--dataset", metavar="NAME", help="one of the six of the paper, e.g. nordland_winter")
     add("--root", type=Path, metavar="DIR", help="where the data sets' folders are")

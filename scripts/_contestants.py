@@ -13,6 +13,7 @@ from amusic_gym.comparison import COMPUTE_WEIGHTS, Contestant
 from amusic_gym.comparison_files import code_digest, file_digest
 from amusic_gym.policy import Context, Correction, Policy
 from baselines import NEEDS_GROUND_TRUTH, READS_COMPUTE_WEIGHT, make_policy
+from baselines.arguments import IDLE
 
 BASELINES = Path(baselines.__file__).parent
 
@@ -64,9 +65,11 @@ def _contestant(spec: str, wanted: _Wanted, weights: tuple[float, ...]) -> Conte
             version=code_digest(BASELINES),
             needs_truth=NEEDS_GROUND_TRUTH.get(name, ""),
         )
-    if at and folder:
+    if at and folder not in ("", IDLE):
         raise ValueError(f"{spec}: a run brings its own statistic; name it ppo:{folder}")
-    run = Path(folder) if folder else shipped(*[statistic] if at else [])
+    run = Path(folder)
+    if folder in ("", IDLE):
+        run = shipped(*[statistic] if at else [], allow_idle=folder == IDLE)
     return _learned(spec, run, wanted, weights)
 
 

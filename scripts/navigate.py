@@ -63,14 +63,19 @@ WARM_UP = 2
 
 def frames_of(args: argparse.Namespace) -> FrameSource:
     """The folder, video or camera of the command line."""
-    query = args.query
+    query, thinned = args.query, args.every is not None or args.fps is not None
+    if args.every is not None and args.fps is not None:
+        raise ValueError("--every and --fps both thin a video; give one of the two")
+    if thinned and (query.lstrip("-").isdecimal() or Path(query).is_dir()):
+        raise ValueError(f"--every and --fps thin a video, but --query {query} is none")
     if query.isdecimal() and not Path(query).exists():
         return Camera(int(query))
     if re.fullmatch(r"-\d+", query) and not Path(query).exists():
         raise ValueError(f"--query {query}: camera numbers are 0, 1, …")
     if Path(query).is_dir():
         return ImageSequence(run_of(args), Path(query).resolve().name)
-    return VideoFile(query)
+    every = 1 if args.every is None else whole("--every", args.every, 1)
+    return VideoFile(query, every=every, fps=args.fps)
 
 
 def techniques_of(args: argparse.Namespace) -> list[Technique]:
@@ -273,6 +278,8 @@ def _parser() -> Parser:
         metavar="FILE",
         help="the true places: only with them are matches shown as right or wrong",
     )
+    add("--every", type=int, metavar="N", help="of a video: take each N-th frame")
+    add("--fps", type=float, metavar="F", help="of a video: take F frames per second of it")
     add_reading(parser)
     add("--cache", type=Path, metavar="DIR", help="where descriptors of the map are kept")
     add("--trace", type=Path, metavar="FILE.csv", help="write a line per frame")

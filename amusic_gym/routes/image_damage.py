@@ -11,7 +11,7 @@ import re
 import struct
 import zlib
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,9 @@ _WORDS = {
     _LEFT: "its picture data go on after the last row",
 }
 
-_U8, _I64, _U64 = NDArray[np.uint8], NDArray[np.int64], NDArray[np.uint64]
+_U8: TypeAlias = NDArray[np.uint8]
+_I64: TypeAlias = NDArray[np.int64]
+_U64: TypeAlias = NDArray[np.uint64]
 
 
 class _Component(NamedTuple):
@@ -81,13 +83,10 @@ def check_jpeg(data: bytes) -> None:
             return
         elif code == 0xDA:
             following = JPEG_MARKER.search(data, at)
-            if following is None or not frame:
-                return
-            coded = data[at : following.start()].rstrip(b"\xff")
-            state = _walk_scan(body, coded, tables, frame, masks, units, interval, progressive)
-            if state in _WORDS:
-                raise ValueError(f"is damaged: {_WORDS[state]}")
-            at = following.start()
+            end = following.start() if following else len(data)
+            coded = data[at:end].rstrip(b"\xff")
+            _check_scan(body, coded, tables, frame, masks, units, interval, progressive)
+            at = end
 
 
 def _tables(body: bytes) -> dict[int, NDArray[np.uint16]]:
@@ -124,13 +123,18 @@ def _frame(body: bytes) -> tuple[tuple[int, int], dict[int, _Component]]:
     across, down = -(-width // (8 * most_h)), -(-height // (8 * most_v))
     return (across, down), {
         name: _Component(
-            h, v, -(-width * h // (8 * most_h)), -(-height * v // (8 * most_v)), across * h, down * v
+            h,
+            v,
+            -(-width * h // (8 * most_h)),
+            -(-height * v // (8 * most_v)),
+            across * h,
+            down * v,
         )
         for name, h, v in told
     }
 
 
-def _walk_scan(
+def _check_scan(
     body: bytes,
     coded: bytes,
     tables: dict[int, NDArray[np.uint16]],
@@ -139,7 +143,7 @@ def _walk_scan(
     units: tuple[int, int],
     interval: int,
     progressive: bool,
-) -> int:
+) -> None:
     names = [body[1 + 2 * at] for at in range(body[0])]
     chosen = [divmod(body[2 + 2 * at], 16) for at in range(body[0])]
     first, last, bits = body[1 + 2 * body[0] : 4 + 2 * body[0]]
@@ -148,7 +152,7 @@ def _walk_scan(
     wanted = [dc for dc, _ in chosen if first == 0 and not high]
     wanted += [16 + ac for _, ac in chosen if needs_ac]
     if not set(names) <= set(frame) or not set(wanted) <= set(tables) or last > 63:
-        return _WHOLE  # decoders have tables of their own, or refuse it
+        return  # decoders have tables of their own, or refuse it
     parts = [frame[name] for name in names]
     if len(parts) == 1:
         parts = [parts[0]._replace(across=1, down=1)]
@@ -156,7 +160,7 @@ def _walk_scan(
     pieces = _RESTART.split(coded) if interval else [coded]
     plain = [piece.replace(b"\xff\x00", b"\xff") for piece in pieces]
     none = np.zeros(_LOOKUP, np.uint16)
-    return int(
+    state = int(
         _walk(
             np.frombuffer(b"".join(plain) + bytes(8), np.uint8),
             np.cumsum([len(piece) for piece in plain]),
@@ -168,6 +172,8 @@ def _walk_scan(
             parts[0].stride,
         )
     )
+    if state in _WORDS:
+        raise ValueError(f"is damaged: {_WORDS[state]}")
 
 
 @standalone("routes/image_damage.py")
@@ -197,7 +203,7 @@ def _walk(
     """
     across, down, interval, first, last, high, progressive = scan
     total = across * down
-    done, pos, run = 0, 0, 0
+    done, pos = 0, 0
     for piece in range(len(ends)):
         end = 8 * ends[piece]
         here = total - done
@@ -206,22 +212,10 @@ def _walk(
         run = 0
         for unit in range(done, done + here):
             for part in range(len(parts)):
+                block = unit // across * stride + unit % across
                 for _ in range(parts[part, 0] * parts[part, 1]):
-                    k, start = first, pos
-                    if first == 0:
-                        if high:
-                            pos += 1
-                        else:
-                            found = dc[part, _peek(data, pos)]
-                            pos += (found >> 8) + (found & 255)
-                            if found == 0:
-                                return _EARLY if pos + 16 > end else _INVALID
-                        k = 1
-                    if last > 0 and not progressive:
-                        pos = _sequential(data, pos, k, ac[part])
-                    elif last > 0:
-                        block = unit // across * stride + unit % across
-                        pos, run = _band(data, pos, k, last, high, run, ac[part], masks, block)
+                    start = pos
+                    pos, run = _block(data, pos, scan, dc[part], ac[part], masks, block, run)
                     if pos > end:
                         return _EARLY
                     if pos < 0 or (pos - start >= _BLANK and _is_blank(data, start, pos)):
@@ -234,12 +228,51 @@ def _walk(
 
 
 @standalone("routes/image_damage.py")
+def _block(
+    data: _U8,
+    pos: int,
+    scan: _I64,
+    dc: NDArray[np.uint16],
+    ac: NDArray[np.uint16],
+    masks: _U64,
+    block: int,
+    run: int,
+) -> tuple[int, int]:
+    """Where a block ends, and how many blocks are to be passed after it.
+
+    The first is negative where a code means nothing, and beyond the data where they end.
+    """
+    _, _, _, first, last, high, progressive = scan
+    k = first
+    if first == 0:
+        k = 1
+        if high:
+            pos += 1
+        else:
+            found = dc[_peek(data, pos)]
+            if found == 0:
+                return _nothing(data, pos), 0
+            pos += (found >> 8) + (found & 255)
+    if last == 0:
+        return pos, run
+    if progressive:
+        return _band(data, pos, k, last, high, run, ac, masks, block)
+    return _sequential(data, pos, k, ac), 0
+
+
+@standalone("routes/image_damage.py")
+def _nothing(data: _U8, pos: int) -> int:
+    """What stands for a code that means nothing: -1, or the end of the data where it is there."""
+    return -1 if (pos >> 3) + 8 < len(data) else 8 * len(data)
+
+
+@standalone("routes/image_damage.py")
 def _peek(data: _U8, pos: int) -> int:
     """The 16 bits from bit ``pos`` on; 0 beyond the end."""
     at = pos >> 3
     if at + 2 >= len(data):
         return 0
-    three = np.int64(data[at]) << 16 | np.int64(data[at + 1]) << 8 | np.int64(data[at + 2])
+    three = int(data[at]) << 16 | int(data[at + 1]) << 8 | int(data[at + 2])
     return (three >> (8 - (pos & 7))) & 0xFFFF
 
 
@@ -258,7 +291,7 @@ def _sequential(data: _U8, pos: int, k: int, ac: NDArray[np.uint16]) -> int:
     while k < 64:
         found = ac[_peek(data, pos)]
         if found == 0:
-            return -1 if (pos >> 3) + 8 < len(data) else 8 * len(data)
+            return _nothing(data, pos)
         size = found & 15
         pos += (found >> 8) + size
         k += (found >> 4 & 15) + 1
@@ -280,40 +313,50 @@ def _band(
     block: int,
 ) -> tuple[int, int]:
     """As `_sequential`, for a band of a progressive image; and the blocks still to be passed."""
-    mask = masks[block]
-    one = np.uint64(1)
+    mask = masks[block] if high else np.uint64(0)
     while k <= last and run == 0:
         found = ac[_peek(data, pos)]
         if found == 0:
-            return (-1 if (pos >> 3) + 8 < len(data) else 8 * len(data)), 0
+            return _nothing(data, pos), 0
         size, skip = found & 15, found >> 4 & 15
         pos += (found >> 8) + size
         if size == 0 and skip < 15:
-            run = 1 << skip
-            if skip:
-                run += _peek(data, pos) >> (16 - skip)
+            run = (1 << skip) + (_peek(data, pos) >> (16 - skip))
             pos += skip
             break
-        while k <= last:
-            if high and mask >> np.uint64(k) & one:
-                pos += 1
-            elif skip == 0:
-                break
-            else:
-                skip -= 1
-            k += 1
-        if size and k <= last:
-            mask |= one << np.uint64(k)
-        elif k > last:
+        told = k
+        k = _skipped(mask, k, last, skip)
+        pos += _refined(mask, told, k)
+        if k > last:
             return -1, 0
+        if size:
+            masks[block] |= np.uint64(1) << np.uint64(k)
         k += 1
     if run > 0:
-        while high and k <= last:
-            pos += np.int64(mask >> np.uint64(k) & one)
-            k += 1
+        pos += _refined(mask, k, last + 1)
         run -= 1
-    masks[block] = mask
     return pos, run
+
+
+@standalone("routes/image_damage.py")
+def _skipped(mask: np.uint64, k: int, last: int, skip: int) -> int:
+    """The coefficient behind ``skip`` ones that are 0 in ``mask``, and all others between."""
+    while k <= last:
+        if not mask >> np.uint64(k) & np.uint64(1):
+            if skip == 0:
+                break
+            skip -= 1
+        k += 1
+    return k
+
+
+@standalone("routes/image_damage.py")
+def _refined(mask: np.uint64, first: int, stop: int) -> int:
+    """How many coefficients of ``first`` to before ``stop`` are in ``mask``: a bit for each."""
+    bits = 0
+    for k in range(first, stop):
+        bits += int(mask >> np.uint64(k) & np.uint64(1))
+    return bits
 
 
 def check_tiff(data: bytes) -> None:
@@ -339,7 +382,9 @@ def check_tiff(data: bytes) -> None:
         if count < 1 or offset + count > len(data):
             raise ValueError(f"is damaged: strip {number} of its TIFF data is not there")
         if _unpacked(data[offset : offset + count], kind, line * here) < line * here:
-            raise ValueError(f"is damaged: strip {number} of its TIFF data cannot be unpacked whole")
+            raise ValueError(
+                f"is damaged: strip {number} of its TIFF data cannot be unpacked whole"
+            )
 
 
 def _unpacked(coded: bytes, kind: int, wanted: int) -> int:

@@ -14,6 +14,7 @@ import hashlib
 import os
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +26,7 @@ from amusic_gym.techniques.protocol import Image
 MAX_PIXELS = 100_000_000
 """Width times height that is read unless more is asked for: 300 MB once decoded."""
 
-SUFFIXES = tuple(
-    ".bmp .jfif .jpe .jpeg .jpg .pbm .pgm .png .pnm .ppm .tif .tiff .webp".split()
-)
+SUFFIXES = tuple(".bmp .jfif .jpe .jpeg .jpg .pbm .pgm .png .pnm .ppm .tif .tiff .webp".split())
 """By which an image file is known in a folder, in lower or upper case."""
 
 UNREAD_SUFFIXES = tuple(
@@ -85,9 +84,7 @@ def decode_image(
     return _of_eight_bits(image, data) if image.dtype == np.uint16 else _scaled(image, data)
 
 
-def check_image(
-    data: bytes, what: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS
-) -> None:
+def check_image(data: bytes, what: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS) -> None:
     """Refuse the bytes of an image file for what can be told without computing its pixels.
 
     Raises:
@@ -116,7 +113,7 @@ def check_image(
         )
 
 
-def _decoded(data: bytes, what: str | os.PathLike[str]) -> NDArray[np.uint8 | np.uint16]:
+def _decoded(data: bytes, what: str | os.PathLike[str]) -> NDArray[Any]:
     import cv2
 
     image = None
@@ -133,7 +130,7 @@ def _decoded(data: bytes, what: str | os.PathLike[str]) -> NDArray[np.uint8 | np
     return image
 
 
-def _of_eight_bits(image: NDArray[np.uint16], data: bytes) -> Image:
+def _of_eight_bits(image: NDArray[Any], data: bytes) -> Image:
     """The upper eight bits of those that the largest value needs."""
     maximum = _pnm_maximum(data) or int(image.max(initial=0))
     return (image >> max(maximum.bit_length() - 8, 0)).astype(np.uint8)

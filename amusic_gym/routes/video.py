@@ -158,8 +158,8 @@ class VideoFile:
         if self._lost:
             warnings.warn(
                 f"{self.path}: {self._lost} of {self._seen + max(0, self._announced - self._seen)}"
-                " frames cannot be decoded and are passed over; the robot seems to jump there: copy"
-                " or convert the video again",
+                " frames are missing or cannot be decoded, and were passed over; the robot seems to"
+                " jump there: copy or convert the video again",
                 UserWarning,
                 stacklevel=3,
             )
