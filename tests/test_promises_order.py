@@ -77,6 +77,7 @@ def test_43_a_map_that_holds_its_run_is_refused(tmp_path):
         [f"frame{i:04x}" for i in range(40)],
         [f"0x{37 * i:X}" for i in range(40)],
         [f"a{i}" for i in range(1, 21)] + [f"b{i}" for i in range(1, 21)],  # not hexadecimal
+        [*map(str, range(1, 8)), "7a", *map(str, range(8, 40))],  # not hexadecimal either
         [f"{i}{eye}" for i in range(1, 21) for eye in "lr"],
         [f"1.{i}" for i in range(1, 21)],  # counted, not a fraction
         ["30-06-2014_10", "01-07-2014_09"],
@@ -367,6 +368,19 @@ def test_47_jpegs_with_a_hole_or_an_early_end_are_refused(progressive, optimize,
     assert cv2.imdecode(np.frombuffer(bad, np.uint8), cv2.IMREAD_COLOR) is not None
     with pytest.raises(ValueError, match=r"x\.jpg is damaged: its picture data .*; copy it again"):
         decode_image(bad, "x.jpg")
+
+
+def test_47_a_hole_is_seen_wherever_it_begins():
+    # Here zeros are blocks of as many bits as the picture's own, so that their number is right.
+    data = saved("JPEG", photo(), quality=96)
+    for begin in range(len(data) // 3, len(data) - 200, 5):
+        with pytest.raises(ValueError, match="is damaged: its picture data"):
+            check_jpeg(data[:begin] + bytes(len(data) - 2 - begin) + b"\xff\xd9")
+    smooth = cv2.GaussianBlur(photo(100, 160), (0, 0), 3)
+    strips = saved("TIFF", smooth, compression="tiff_adobe_deflate")
+    for begin in range(len(strips) // 4, len(strips) // 2, 97):
+        with pytest.raises(ValueError, match="is damaged: strip"):
+            check_tiff(strips[:begin] + bytes(len(strips) - 300 - begin) + strips[-300:])
 
 
 @settings(max_examples=30, deadline=None)
