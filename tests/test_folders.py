@@ -317,6 +317,7 @@ def test_by_index_needs_as_many_places_as_frames(tmp_path):
 def test_by_name_finds_namesakes(tmp_path):
     with pytest.warns(UserWarning, match="images of 2 folders"):
         reference = traverse(tmp_path / "r", ["a", "b", "c", "d", "sub/a"])
+    with pytest.warns(UserWarning, match="images of 2 folders"):
         query = traverse(tmp_path / "q", ["b", "d", "sub/a", "x"])
     truth = image_truth.by_name(reference, query, tolerance=0)
     np.testing.assert_array_equal(np.argwhere(truth.matrix()), [[0, 1], [1, 3], [2, 4]])

@@ -111,7 +111,9 @@ def test_ground_truth_by_name_position_and_file(run, arguments, folders, tmp_pat
     named = tmp_path / "named"
     named.mkdir()
     for at, image in enumerate(sorted(folders[0].iterdir())[:4]):
-        (named / f"@{500000 + 10 * at}@4000000@@@@@{at}@@@@@@@@.png").write_bytes(image.read_bytes())
+        (named / f"@{500000 + 10 * at}@4000000@@@@@{at}@@@@@@@@.png").write_bytes(
+            image.read_bytes()
+        )
     ours = ["--reference", named, "--query", named, "--truth-by", "position", "--metres", 10]
     assert run(*arguments, *ours)[0] == 0
     assert np.diff(truth_of(tmp_path).indptr).tolist() == [2, 3, 3, 2]
