@@ -13,7 +13,6 @@ from amusic_gym.comparison import COMPUTE_WEIGHTS, Contestant
 from amusic_gym.comparison_files import code_digest, file_digest
 from amusic_gym.policy import Context, Correction, Policy
 from baselines import NEEDS_GROUND_TRUTH, READS_COMPUTE_WEIGHT, make_policy
-from baselines.arguments import IDLE
 
 BASELINES = Path(baselines.__file__).parent
 
@@ -65,11 +64,9 @@ def _contestant(spec: str, wanted: _Wanted, weights: tuple[float, ...]) -> Conte
             version=code_digest(BASELINES),
             needs_truth=NEEDS_GROUND_TRUTH.get(name, ""),
         )
-    if at and folder not in ("", IDLE):
+    if at and folder:
         raise ValueError(f"{spec}: a run brings its own statistic; name it ppo:{folder}")
-    run = Path(folder)
-    if folder in ("", IDLE):
-        run = shipped(*[statistic] if at else [], allow_idle=folder == IDLE)
+    run = Path(folder) if folder else shipped(*[statistic] if at else [])
     return _learned(spec, run, wanted, weights)
 
 

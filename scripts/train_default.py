@@ -147,13 +147,12 @@ def main(arguments: list[str] | None = None) -> None:
         default=SICSettings.statistic,
         help="that it ships for (default: %(default)s)",
     )
-    add("--allow-idle", action="store_true", help="the one that may run nothing on a frame")
     add("--ship", action="store_true", help="put the selector into agents/pretrained")
     given = parser.parse_args(arguments)
 
     from agents.config import training_config
 
-    folder = shipped(given.statistic, allow_idle=given.allow_idle)
+    folder = shipped(given.statistic)
     config = training_config(
         algorithm=ALGORITHM[given.statistic],
         timesteps=given.timesteps,
@@ -161,10 +160,9 @@ def main(arguments: list[str] | None = None) -> None:
         statistic=given.statistic,
         reward=REWARD,
         threads=given.threads,
-        allow_idle=given.allow_idle,
     )
     learn(given.out, config)
-    words = f"the selector that ships in {folder.name}"
+    words = f"the selector that ships for {given.statistic!r}"
     if not is_same(given.out, folder):
         words = f"not {words}, bit for bit"
     print(f"The selector in {given.out} is {words}")
