@@ -29,24 +29,19 @@ class TrainedSelector(NetworkSelector[SelectorNetwork]):
         return logits.numpy() > 0.0
 
 
-def load_selector(
-    run: str | Path | None = None, *, statistic: str | None = None, allow_idle: bool = False
-) -> Selector:
+def load_selector(run: str | Path | None = None, *, statistic: str | None = None) -> Selector:
     """Load the selector of a run folder, of whatever algorithm, or the one that ships.
 
     Args:
         run: the run folder; None: the selector that ships for the statistic.
         statistic: which the selector must be of; None: any, and of those that ship the default's.
-        allow_idle: of those that ship, the one that may run nothing on a frame; a run is as it is.
 
     Raises:
         FileNotFoundError: if the folder or its weights are not there.
         ValueError: if it was trained with another version or statistic, is damaged, or none ships
             for the statistic.
     """
-    if run is None:
-        run = shipped(statistic or SICSettings.statistic, allow_idle=allow_idle)
-    run = Path(run)
+    run = shipped(statistic or SICSettings.statistic) if run is None else Path(run)
     config = read_config(run)
     own = config["versions"]["statistic"]
     if statistic not in (None, own):

@@ -12,26 +12,17 @@ SHIPPED = ("evidence", "belief")
 """Statistics that a selector ships for, each a run folder in `PRETRAINED`."""
 
 
-IDLING = ("evidence",)
-"""Statistics that one ships for, besides, which may run nothing on a frame."""
-
-
-def shipped(statistic: str = SICSettings.statistic, *, allow_idle: bool = False) -> Path:
+def shipped(statistic: str = SICSettings.statistic) -> Path:
     """Run folder of the selector that ships for a statistic.
-
-    Args:
-        statistic: the statistic.
-        allow_idle: the one that may run nothing on a frame.
 
     Raises:
         ValueError: for a statistic that none ships for.
     """
-    ships, what = (IDLING, "selector that may idle") if allow_idle else (SHIPPED, "selector")
-    if statistic not in ships:
-        known = " and ".join(ships)
+    if statistic not in SHIPPED:
+        known = " and ".join(SHIPPED)
         about = "" if statistic in STATISTICS else ", which is no statistic"
         raise ValueError(
-            f"no {what} ships for the statistic {statistic!r}{about}; one does for {known}."
+            f"no selector ships for the statistic {statistic!r}{about}; one does for {known}."
             " Train one, or take one of these"
         )
-    return PRETRAINED / (f"{statistic}-idle" if allow_idle else statistic)
+    return PRETRAINED / statistic
