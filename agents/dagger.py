@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 import shutil
@@ -21,6 +20,7 @@ from agents.learners.common import make_env
 from agents.network import SelectorNetwork, presence
 from agents.run_folder import CHECKPOINT, check_layers, read_tensors, write_tensors
 from agents.selector import TrainedSelector
+from amusic_gym.escaping import CsvWriter
 from amusic_gym.observation import observation_size
 from amusic_gym.policy import Selector
 from amusic_gym.sources import RouteSource
@@ -170,7 +170,7 @@ class DAgger:
             write_tensors(self._seen_file(number), seen, {})
         self.records.add(result, self.network)
         table = io.StringIO()
-        writer = csv.writer(table, lineterminator="\n")
+        writer = CsvWriter(table)
         writer.writerow(("round", *Round._fields))
         writer.writerows((i, *values) for i, values in enumerate(self.rounds))
         write_whole(self.out / TABLE, table.getvalue().encode())

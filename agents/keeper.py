@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 from collections.abc import Sequence
@@ -28,6 +27,7 @@ from agents.run_folder import (
     write_selector,
     write_tensors,
 )
+from amusic_gym.escaping import CsvWriter
 from amusic_gym.policy import Selector
 from amusic_gym.trace import write_whole
 
@@ -79,7 +79,7 @@ class Records:
         """Write ``config.json`` and ``evaluation.csv``."""
         write_config(self.out, stored(self.config, self.banks, self.best))
         table = io.StringIO()
-        writer = csv.writer(table, lineterminator="\n")
+        writer = CsvWriter(table)
         writer.writerow(Evaluation._fields)
         writer.writerows(self.evaluations)
         write_whole(self.out / EVALUATIONS, table.getvalue().encode())

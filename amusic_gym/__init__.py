@@ -6,6 +6,11 @@ this package loads NumPy and Gymnasium only; what needs more is imported when it
 
 from __future__ import annotations
 
+import os
+
+# Behind this package's own limit of pixels; OpenCV reads it once, when it is imported.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", "100000000")
+
 from amusic_gym import threads as threads  # makes forks safe
 from amusic_gym.bank import ScoreBank
 from amusic_gym.ground_truth import GroundTruth

@@ -251,8 +251,9 @@ def _stem(entry: _Entry) -> str:
 
 def file_stem(name: str) -> str:
     """A name as part of a file's name on any system: letters, digits and ``-_.+``, not long."""
-    safe = "".join(c if c.isalnum() or c in "-_.+" else "_" for c in name).strip("._")
-    return (safe if len(safe) <= 80 else f"{safe[:39]}__{safe[-39:]}") or "unnamed"
+    safe = "".join(c if c.isalnum() or c in "-_.+" else "_" for c in name).strip("._").encode()
+    short = safe if len(safe) <= 80 else safe[:39] + b"__" + safe[-39:]  # systems count bytes
+    return short.decode(errors="ignore") or "unnamed"
 
 
 def all_subsets(techniques: Sequence[str]) -> list[str]:

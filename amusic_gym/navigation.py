@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from amusic_gym.escaping import CsvWriter
 from amusic_gym.live import LiveRoute
 from amusic_gym.policy import Correction, Localiser, Policy, Rows, Selector, highest_z
 from amusic_gym.settings import SICSettings
@@ -222,7 +222,7 @@ class TraceWriter:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         # One line is one write: none is ever half in the file.
         self._file: TextIO = Path(path).open("w", encoding="utf-8", newline="", buffering=1)
-        self._writer = csv.writer(self._file, lineterminator="\n")
+        self._writer = CsvWriter(self._file)
         self._writer.writerow(self.columns)
 
     def write(self, sighting: Sighting) -> None:

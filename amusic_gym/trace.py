@@ -7,7 +7,6 @@ sees the second half.
 
 from __future__ import annotations
 
-import csv
 import io
 import os
 import tempfile
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from amusic_gym.escaping import CsvWriter
 from amusic_gym.settings import carries
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ class Trace:
         after-the-fact runs charged at its step; `p_correct` is empty where there is none.
         """
         text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
+        writer = CsvWriter(text)
         writer.writerow(CSV_COLUMNS)
         for frame in range(self.queries):
             estimate = float(self.p_correct[frame])

@@ -10,12 +10,14 @@ from typing import Any
 
 from _bank_extract import Techniques, add_extraction, extract_bank
 from _cli import Parser
+from _folders import add_reading, map_of, run_of
 
 from amusic_gym.checks import whole
 from amusic_gym.ground_truth import GroundTruth
 
 _LEAST_SIZE = 16  # of a rendered image's sides, in pixels
 TRUTH_BY = ("index", "name", "position")
+POSITION = ("metres", "heading")
 
 
 @dataclass(frozen=True)
@@ -93,24 +95,25 @@ def _route(args: argparse.Namespace) -> _Route:
 
 
 def _folders(args: argparse.Namespace) -> _Route:
-    from amusic_gym.routes.folders import ImageFolder
     from amusic_gym.routes.image_truth import by_index, by_name, by_position, from_file
 
     _refuse(args, ("root", "images", "first", "step"), "only goes with --dataset")
-    if args.metres is not None and args.truth_by != "position":
-        raise ValueError("--metres only goes with --truth-by position")
+    position = {
+        option: value for option in POSITION if (value := getattr(args, option)) is not None
+    }
+    if position and args.truth_by != "position":
+        raise ValueError(f"--{next(iter(position))} only goes with --truth-by position")
     if args.ground_truth is not None and args.truth_by is not None:
         raise ValueError("--ground-truth and --truth-by both say what is true; give one of the two")
     if args.reference is None or args.query is None:
         raise ValueError("give --reference DIR and --query DIR, or --dataset NAME and --root DIR")
     if args.tolerance is None and args.ground_truth is None and args.truth_by != "position":
         raise ValueError("give --tolerance N, the places to either side that count as right")
-    reference, query = ImageFolder(args.reference), ImageFolder(args.query)
+    reference, query = map_of(args), run_of(args)
     if args.ground_truth is not None:
         truth = from_file(args.ground_truth, reference, query, args.tolerance, args.trust)
     elif args.truth_by == "position":
-        metres = {} if args.metres is None else {"metres": args.metres}
-        truth = by_position(reference, query, **metres)
+        truth = by_position(reference, query, **position)
     else:
         by = by_name if args.truth_by == "name" else by_index
         truth = by(reference, query, args.tolerance)
@@ -121,8 +124,10 @@ def _dataset(args: argparse.Namespace) -> _Route:
     from amusic_gym.routes.datasets import load_dataset
     from amusic_gym.routes.image_truth import by_index
 
-    given = ("reference", "query", "ground_truth", "truth_by", "metres")
+    given = ("reference", "query", "ground_truth", "truth_by", *POSITION)
     _refuse(args, given, "does not go with --dataset, which brings it")
+    if args.order or args.skip_damaged:
+        raise ValueError("--order and --skip-damaged do not go with --dataset; give its folders")
     if args.root is None:
         raise ValueError(f"--dataset {args.dataset} needs --root DIR, where its folders are")
     counts = {
@@ -178,7 +183,12 @@ def add_images(commands: Any) -> Parser:
     )
     parser.set_defaults(run=images)
     add = parser.add_argument
-    add("--reference", type=Path, metavar="DIR", help="the map's images, in natural order")
+    add(
+        "--reference",
+        type=Path,
+        metavar="DIR",
+        help="the map's images, in the order of their names",
+    )
     add("--query", type=Path, metavar="DIR", help="the run's images")
     add("--dataset", metavar="NAME", help="one of the six of the paper, e.g. nordland_winter")
     add("--root", type=Path, metavar="DIR", help="where the data sets' folders are")
@@ -193,6 +203,12 @@ def add_images(commands: Any) -> Parser:
     )
     add("--metres", type=float, metavar="M", help="how near, with --truth-by position")
     add(
+        "--heading",
+        type=float,
+        metavar="D",
+        help="with --truth-by position: seen in a direction within D degrees, too",
+    )
+    add(
         "--ground-truth",
         type=Path,
         metavar="FILE",
@@ -204,5 +220,6 @@ def add_images(commands: Any) -> Parser:
         action="store_true",
         help="a place's neighbours with the same image, byte for byte, are true too",
     )
+    add_reading(parser)
     add_extraction(parser, tolerance_required=False, name="--out's name, or the data set's")
     return parser

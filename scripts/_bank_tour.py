@@ -97,5 +97,5 @@ def _part(text: str) -> tuple[ImageFolder, ImageFolder]:
     taken = range(int(first), int(stop), int(step))
     if not taken:
         raise ValueError(f"--part {text!r} takes no image; give a STOP above FIRST")
-    cut = {"first": taken.start, "step": taken.step, "count": len(taken)}
+    cut: dict[str, Any] = {"first": taken.start, "step": taken.step, "count": len(taken)}
     return ImageFolder(reference, **cut), ImageFolder(query, **cut)

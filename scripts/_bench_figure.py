@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from _bench_images import Roof
 from _bench_kernels import BYTES_PER_PLACE
 from _bench_material import Sizes
 from _bench_reference import COHOG_CELLS, COHOG_OPERATIONS
 from _timing import Medians
+
+from amusic_gym.trace import write_whole
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 ADD_OPERATIONS = 3  # per place: less the mean, times 1/σ, added
 LOOKED_UP = 4 + 8 + 8  # bytes per candidate: its place, its sum, its factor
@@ -67,7 +73,7 @@ def draw_growth(places: Sequence[int], seconds: Sequence[Medians], file: Path) -
     axes.set_xlabel("places of the map")
     axes.set_ylabel("µs per technique and frame")
     axes.grid(alpha=0.3)
-    figure.savefig(file, dpi=120)
+    _write(figure, file)
     plt.close(figure)
 
 
@@ -101,6 +107,11 @@ def draw_roofline(measured: tuple[float, list[Point]], roof: Roof, file: Path) -
     axes.set_xlabel("operations per byte")
     axes.set_ylabel("10⁹ operations per second")
     axes.grid(alpha=0.3)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(file, dpi=120)
+    _write(figure, file)
     plt.close(figure)
+
+
+def _write(figure: Figure, file: Path) -> None:
+    image = io.BytesIO()
+    figure.savefig(image, format="png", dpi=120)
+    write_whole(file, image.getvalue())

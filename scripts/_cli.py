@@ -49,7 +49,8 @@ sys.excepthook = _end  # scripts import this module before what takes long
 # `python scripts/NAME.py` works from any checkout, installed or not.
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from amusic_gym.names import nearest  # noqa: E402  (found by the line above)
+from amusic_gym.escaping import for_terminal  # noqa: E402  (found by the line above)
+from amusic_gym.names import nearest  # noqa: E402
 
 
 class Parser(argparse.ArgumentParser):
@@ -80,7 +81,9 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Print one line on stderr and exit with status 2."""
         hint = self._hint(message)
-        print(f"{self.prog}: {message}{hint} (see {self.prog} --help)", file=sys.stderr)
+        print(
+            for_terminal(f"{self.prog}: {message}{hint} (see {self.prog} --help)"), file=sys.stderr
+        )
         raise SystemExit(2)
 
     def _hint(self, message: str) -> str:
@@ -158,6 +161,7 @@ def run(main: Callable[[], int | None]) -> NoReturn:
     who reads stdout has gone (``| head``). Warnings are one line on stderr too.
     """
     warnings.formatwarning = _one_line
+    _escape_output()
     status: Any = 2
     failure: Exception | None = None
     with _stops_as_ctrl_c() as came:
@@ -180,6 +184,13 @@ def run(main: Callable[[], int | None]) -> NoReturn:
         _tell(f"{Path(sys.argv[0]).name}: {_sentence(failure)}")
         status = 2
     raise SystemExit(status)
+
+
+def _escape_output() -> None:
+    """Let names in what is printed be shown, not obeyed by the terminal."""
+    if sys.stdout is not None:
+        write = sys.stdout.write
+        sys.stdout.write = lambda text: write(for_terminal(text))  # type: ignore[method-assign]
 
 
 def pairs(items: Sequence[str], what: str) -> dict[str, str]:
@@ -251,7 +262,7 @@ def _reader_gone() -> bool:
 
 
 def _one_line(message: Warning | str, *_: Any, **__: Any) -> str:
-    return f"warning: {' '.join(str(message).split())}\n"
+    return f"warning: {for_terminal(' '.join(str(message).split()))}\n"
 
 
 def _sentence(error: Exception) -> str:
@@ -262,4 +273,4 @@ def _sentence(error: Exception) -> str:
         text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
         if isinstance(error, NotADirectoryError | FileExistsError | PermissionError):
             text += "; give another folder"
-    return " ".join(text.split()) or type(error).__name__
+    return for_terminal(" ".join(text.split())) or type(error).__name__

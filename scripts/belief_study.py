@@ -18,9 +18,11 @@ from _cli import Parser, run
 from amusic_gym.bank import ScoreBank
 from amusic_gym.belief.fitting import Drive
 from amusic_gym.belief.rates import Rates, fitted
+from amusic_gym.escaping import for_markdown
 from amusic_gym.metrics import area, precision_recall
 from amusic_gym.routes.retime import retime
 from amusic_gym.routes.simulate import POPULATION
+from amusic_gym.trace import write_whole
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 WITHOUT = {
@@ -109,10 +111,12 @@ def main(arguments: list[str] | None = None) -> None:
         lines.append([title, *(f"{value:.3f}" for value in values)])
         print("  ".join(lines[-1]), flush=True)
     if given.out:
-        given.out.parent.mkdir(parents=True, exist_ok=True)
         rule = ["---"] * len(lines[0])
-        text = "\n".join("| " + " | ".join(line) + " |" for line in (lines[0], rule, *lines[1:]))
-        given.out.write_text(text + "\n", encoding="utf-8")
+        text = "\n".join(
+            "| " + " | ".join(map(for_markdown, line)) + " |"
+            for line in (lines[0], rule, *lines[1:])
+        )
+        write_whole(given.out, f"{text}\n".encode())
         print(given.out)
 
 

@@ -93,6 +93,7 @@ from _bench_start import measure_start  # noqa: E402
 
 from amusic_gym.env import TechniqueSelectionEnv  # noqa: E402
 from amusic_gym.settings import SICSettings  # noqa: E402
+from amusic_gym.trace import write_whole  # noqa: E402
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv  # noqa: E402
 
 BELIEF: dict[str, Any] = {"statistic": "belief", "carry": None, "discount": None}
@@ -493,8 +494,7 @@ def main() -> None:
 
     if not args.only:
         _measure_rest(args, material, seconds, report)
-    args.out.parent.mkdir(parents=True, exist_ok=True)
-    args.out.write_text(json.dumps(measures, indent=1) + "\n", encoding="utf-8")
+    write_whole(args.out, (json.dumps(measures, indent=1) + "\n").encode())
 
 
 def _measure_rest(

@@ -30,6 +30,7 @@ from _cli import (  # first: Ctrl-C ends well from here on
 import numpy as np
 from _contestants import contestants
 from _drive import Journal, Screen, check_outputs
+from _folders import add_reading, map_of, run_of
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.checks import whole
@@ -42,7 +43,7 @@ from amusic_gym.navigation import Sighting, TraceWriter, navigate
 from amusic_gym.pictures.sightings import Pictures
 from amusic_gym.plots.labels import policy_label
 from amusic_gym.policy import Context
-from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.routes.folders import ImageFolder, check_apart
 from amusic_gym.routes.image_truth import from_file
 from amusic_gym.routes.video import Camera, VideoFile, VideoWriter
 from amusic_gym.settings import STATISTICS, SICSettings
@@ -60,15 +61,21 @@ WARM_UP = 2
 """Frames of the map that the policy is run on before the drive."""
 
 
-def frames_of(query: str) -> FrameSource:
+def frames_of(args: argparse.Namespace) -> FrameSource:
     """The folder, video or camera of the command line."""
+    query, thinned = args.query, args.every is not None or args.fps is not None
+    if args.every is not None and args.fps is not None:
+        raise ValueError("--every and --fps both thin a video; give one of the two")
+    if thinned and (query.lstrip("-").isdecimal() or Path(query).is_dir()):
+        raise ValueError(f"--every and --fps thin a video, but --query {query} is none")
     if query.isdecimal() and not Path(query).exists():
         return Camera(int(query))
     if re.fullmatch(r"-\d+", query) and not Path(query).exists():
         raise ValueError(f"--query {query}: camera numbers are 0, 1, …")
     if Path(query).is_dir():
-        return ImageSequence(ImageFolder(query), Path(query).resolve().name)
-    return VideoFile(query)
+        return ImageSequence(run_of(args), Path(query).resolve().name)
+    every = 1 if args.every is None else whole("--every", args.every, 1)
+    return VideoFile(query, every=every, fps=args.fps)
 
 
 def techniques_of(args: argparse.Namespace) -> list[Technique]:
@@ -179,9 +186,11 @@ def main(arguments: list[str] | None = None) -> None:
     with ExitStack() as stack:
         window = stack.enter_context(closing(_window())) if args.show else None
         video = VideoWriter(args.video, RENDER_FPS) if args.video else None
-        frames = frames_of(args.query)
+        frames = frames_of(args)
         stack.callback(getattr(frames, "close", lambda: None))
-        places = ImageFolder(args.reference)
+        places = map_of(args)
+        if isinstance(frames, ImageSequence):
+            check_apart(places, frames.images)
         route = route_of(args, _maps(args, techniques, places, stack), frames, places)
         warm_up(policy, route, places, correction)
         title = f"{route.name}, {policy_label(args.policy)}"
@@ -269,6 +278,9 @@ def _parser() -> Parser:
         metavar="FILE",
         help="the true places: only with them are matches shown as right or wrong",
     )
+    add("--every", type=int, metavar="N", help="of a video: take each N-th frame")
+    add("--fps", type=float, metavar="F", help="of a video: take F frames per second of it")
+    add_reading(parser)
     add("--cache", type=Path, metavar="DIR", help="where descriptors of the map are kept")
     add("--trace", type=Path, metavar="FILE.csv", help="write a line per frame")
     add("--video", type=Path, metavar="FILE.mp4|.avi", help="write the picture of every frame")

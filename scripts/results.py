@@ -12,6 +12,7 @@ import argparse
 import os
 import warnings
 from pathlib import Path
+from typing import Any
 
 from _cli import Parser, pairs, run
 from _rivals import study_rivals
@@ -50,7 +51,9 @@ RECORDED: tuple[tuple[str, range | None], ...] = (
 
 def folders(data: Path, name: str, cut: range | None) -> tuple[ImageFolder, ImageFolder]:
     """Reference and query of a recording, or some of their images."""
-    how = {} if cut is None else {"first": cut.start, "step": cut.step, "count": len(cut)}
+    how: dict[str, Any] = (
+        {} if cut is None else {"first": cut.start, "step": cut.step, "count": len(cut)}
+    )
     reference, query = (ImageFolder(data / folder, **how) for folder in FOLDERS[name])
     return reference, query
 

@@ -5,7 +5,7 @@ The recordings are the banks given by --bank; with the variable AMUSIC_DATA, Cor
 
 from __future__ import annotations
 
-import csv
+import io
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,12 +16,14 @@ from _cli import Parser, run
 from numpy.typing import NDArray
 
 from amusic_gym.bank import ScoreBank
+from amusic_gym.escaping import CsvWriter
 from amusic_gym.importers import from_recording
 from amusic_gym.plots.drawing import GREY, INK, figure_at
 from amusic_gym.routes.motion import MOTIONS
 from amusic_gym.routes.simulate import Simulation
 from amusic_gym.routes.statistics import MEASURES, describe
 from amusic_gym.settings import STATISTICS
+from amusic_gym.trace import write_whole
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 ROUTES, SEED = 60, 1000
@@ -88,12 +90,13 @@ def print_table(simulated: Rows, real: Rows) -> None:
 
 def write_table(simulated: Rows, real: Rows, path: Path) -> None:
     """All measures of all techniques, as CSV."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["kind", "matrix", *MEASURES])
-        for kind, rows in (("simulated", simulated), ("real", real)):
-            for name, row in rows.items():
-                writer.writerow([kind, name, *(f"{row[key]:.6g}" for key in MEASURES)])
+    table = io.StringIO()
+    writer = CsvWriter(table)
+    writer.writerow(["kind", "matrix", *MEASURES])
+    for kind, rows in (("simulated", simulated), ("real", real)):
+        for name, row in rows.items():
+            writer.writerow([kind, name, *(f"{row[key]:.6g}" for key in MEASURES)])
+    write_whole(path, table.getvalue().encode())
 
 
 def draw_measures(simulated: Rows, real: Rows, path: Path) -> None:

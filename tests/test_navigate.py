@@ -433,3 +433,24 @@ def test_34_52_a_process_that_is_stopped_ends_well(world, tmp_path, number, stat
         assert source.read(source._next) is not None
     assert source.length in (frames, frames - 1)
     assert not list(tmp_path.glob(".*"))
+
+
+def test_a_video_is_thinned_and_nothing_else(navigate, world):
+    for option, frames in (("--every", "3"), ("--fps", "3.4")):
+        code, out, err = navigate(option, frames, query=f"{world}/run.avi")
+        assert (code, err) == (0, "")
+        assert len(lines_of(out)) == 3
+    for query in (f"{world}/run", "0"):
+        code, _, err = navigate("--every", "2", query=query)
+        assert (code, err) == (
+            2,
+            f"navigate.py: --every and --fps thin a video, but --query {query} is none\n",
+        )
+    assert "give one of the two" in navigate("--every", "2", "--fps", "1")[2]
+
+
+def test_names_reach_no_terminal_raw(navigate, tmp_path):
+    code, _, err = navigate(query=f"{tmp_path}/\x1b[2J")
+    assert code == 2
+    assert r"\x1b[2J does not exist" in err
+    assert "\x1b" not in err

@@ -237,7 +237,7 @@ def test_18_alpha_is_dropped_and_the_colour_beneath_kept(suffix):
     np.testing.assert_array_equal(image, picture())
 
 
-@pytest.mark.parametrize(("suffix", "within"), [(".png", 0), (".ppm", 0), (".tif", 1)])
+@pytest.mark.parametrize(("suffix", "within"), [(".png", 0), (".ppm", 0), (".tif", 0)])
 def test_18_the_upper_eight_of_16_bits_stay(suffix, within):
     deep = np.random.default_rng(0).integers(0, 1 << 16, (12, 16, 3), dtype=np.uint16)
     image = decode_image(encoded(suffix, image=deep), "x")
@@ -314,7 +314,8 @@ def test_19_symlink_loops_end(tmp_path):
     (tmp_path / "b" / "back").symlink_to(tmp_path / "a", target_is_directory=True)
     (tmp_path / "self").symlink_to(tmp_path / "self")
     # Each real folder once: b is first met through a.
-    assert ImageFolder(tmp_path).names == ("a/1.png", "a/other/2.png")
+    with pytest.warns(UserWarning, match=r"images of 2 folders .*: a \(1\), a/other \(1\)"):
+        assert ImageFolder(tmp_path).names == ("a/1.png", "a/other/2.png")
 
 
 def test_19_links_are_followed_and_a_dangling_one_is_named(tmp_path):

@@ -111,10 +111,39 @@ def test_ground_truth_by_name_position_and_file(run, arguments, folders, tmp_pat
     named = tmp_path / "named"
     named.mkdir()
     for at, image in enumerate(sorted(folders[0].iterdir())[:4]):
-        (named / f"@{500000 + 10 * at}@4000000@.png").write_bytes(image.read_bytes())
+        (named / f"@{500000 + 10 * at}@4000000@@@@@{at}@@@@@@@@.png").write_bytes(
+            image.read_bytes()
+        )
     ours = ["--reference", named, "--query", named, "--truth-by", "position", "--metres", 10]
     assert run(*arguments, *ours)[0] == 0
     assert np.diff(truth_of(tmp_path).indptr).tolist() == [2, 3, 3, 2]
+
+
+def test_an_order_can_be_given_for_both_folders_or_for_each(run, arguments, folders, tmp_path):
+    names = sorted(path.name for path in folders[0].iterdir())
+    for name, listed in (("forth", names[:5]), ("back", names[4::-1])):
+        (tmp_path / name).write_text("\n".join(listed))
+    given = [*arguments, "--truth-by", "name", "--tolerance", 0, "--order", tmp_path / "back"]
+    assert run(*given)[0] == 0
+    assert truth_of(tmp_path).places.tolist() == [0, 1, 2, 3, 4]
+    assert run(*given, tmp_path / "forth")[0] == 0
+    assert truth_of(tmp_path).places.tolist() == [4, 3, 2, 1, 0]
+    status, _, err = run(*given, tmp_path / "forth", tmp_path / "forth")
+    assert (status, err) == (2, "bank.py: --order has 3 files; give one, or one for each folder\n")
+
+
+def test_damaged_images_are_named_together_or_left_out(run, arguments, folders, tmp_path):
+    spoiled = tmp_path / "spoiled"
+    spoiled.mkdir()
+    for at, image in enumerate(sorted(folders[1].iterdir())[:6]):
+        (spoiled / image.name).write_bytes(image.read_bytes()[: 40 if at in (1, 3) else None])
+    given = [*arguments, "--query", spoiled, "--tolerance", 0]
+    status, _, err = run(*given)
+    assert status == 2
+    assert err.startswith("bank.py: 2 images cannot be used: ")
+    with pytest.warns(UserWarning, match=r"2 damaged images are left out"):
+        assert run(*given, "--skip-damaged")[0] == 0
+    assert truth_of(tmp_path).places.tolist() == [0, 2, 4, 5]
 
 
 def test_copies_of_a_true_place_may_count(run, arguments, folders, tmp_path):

@@ -66,7 +66,8 @@ class Images:
         data = read_bytes(self.paths[at])
         if digest_of(data) != self.digests[at]:
             raise ValueError(f"{self.paths[at]} was changed since this run began; run it again")
-        image = decode_image(data, self.paths[at])
+        # What has the digest passed the check when that was taken.
+        image = decode_image(data, self.paths[at], checked=True)
         change = self.changes[at] if self.changes else None
         return image if change is None else change.apply(image)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,32 +19,49 @@ from amusic_gym.extraction.executors import S, Workers
 from amusic_gym.extraction.progress import Progress
 from amusic_gym.extraction.shards import Advance, DescribeShard, MatchShard
 from amusic_gym.routes.folders import ImageFolder
-from amusic_gym.routes.image_headers import measure
-from amusic_gym.routes.images import decode_image, digest_of, read_bytes
+from amusic_gym.routes.images import check_image, digest_of, lost_levels, read_bytes
 from amusic_gym.techniques.protocol import Technique
+
+_SAMPLE = 5  # images of a traverse whose grey levels are counted
+_NAMED = 5  # refused images that are named before they are only counted
 
 FORMAT = 1
 """Of the cache's entries: raised when the same key would have to mean something else."""
 
 
 def images_of(folder: ImageFolder) -> Images:
-    """Paths and digests of a folder's images; reads every file once and looks at its header.
+    """Paths and digests of a folder's images; reads and checks every file once.
+
+    Warns where images of more than 8 bits lose most of their grey levels.
 
     Raises:
         FileNotFoundError: for an image that is not there any more.
-        ValueError: for one that is empty, truncated or no image, before any work begins.
+        ValueError: for those that are empty, truncated, damaged or no images, before any work
+            begins.
     """
     paths = tuple(Path(os.path.abspath(path)) for path in folder.paths)
-    return Images(paths, tuple(_digest(path) for path in paths), folder.changes)
+    digests, refused, lost = [], [], ""
+    for at, path in enumerate(paths):
+        data = read_bytes(path)
+        digests.append(digest_of(data))
+        try:
+            check_image(data, path)
+            if at % -(-len(paths) // _SAMPLE) == 0 and not lost and (told := lost_levels(data)):
+                lost = f"{path} {told}"
+        except ValueError as error:
+            refused.append(str(error))
+    if refused:
+        raise ValueError(_together(refused))
+    if lost:
+        warnings.warn(lost, UserWarning, stacklevel=2)
+    return Images(paths, tuple(digests), folder.changes)
 
 
-def _digest(path: Path) -> str:
-    data = read_bytes(path)
-    try:
-        measure(data)
-    except ValueError:
-        decode_image(data, path)  # refuses it with its path
-    return digest_of(data)
+def _together(refused: Sequence[str]) -> str:
+    """One sentence of several refusals."""
+    more = f"; and {len(refused) - _NAMED} more" if len(refused) > _NAMED else ""
+    count = f"{len(refused)} images cannot be used: " if len(refused) > 1 else ""
+    return f"{count}{'; '.join(refused[:_NAMED])}{more}; or go on without (--skip-damaged)"
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from amusic_gym.extraction.progress import Progress
 from amusic_gym.extraction.seconds import known_cost
 from amusic_gym.ground_truth import GroundTruth, resolve_ground_truth
 from amusic_gym.names import suggest
-from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.routes.folders import ImageFolder, check_apart
 from amusic_gym.routes.image_truth import by_index
 from amusic_gym.techniques import Technique, make_technique
 
@@ -89,6 +89,7 @@ def extract(
     map_folder, run_folder = (
         each if isinstance(each, ImageFolder) else ImageFolder(each) for each in (reference, query)
     )
+    check_apart(map_folder, run_folder)
     if ground_truth is None and tolerance is not None:
         ground_truth = by_index(map_folder, run_folder, tolerance)
     truth, places = resolve_ground_truth(ground_truth, tolerance, len(run_folder), len(map_folder))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from amusic_gym.checks import whole
 from amusic_gym.ground_truth import GroundTruth
@@ -149,7 +150,7 @@ def load_dataset(
         )
     if first is not None and len(dataset.reference) > 1:
         raise ValueError(f"first is {first!r}, but {name} joins several folders; leave it out")
-    part = {} if first is None else {"first": first, "step": step, "count": number}
+    part: dict[str, Any] = {} if first is None else {"first": first, "step": step, "count": number}
     traverses = []
     for folders in (dataset.reference, dataset.query):
         paths = [Path(root) / folder for folder in folders]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import operator
 import os
 import warnings
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -12,8 +13,15 @@ from pathlib import Path
 
 from amusic_gym.checks import whole
 from amusic_gym.routes.conditions import Change
-from amusic_gym.routes.images import SUFFIXES, read_image
-from amusic_gym.routes.numbering import gaps, natural_key, path_key, same_numbers
+from amusic_gym.routes.images import (
+    SUFFIXES,
+    UNREAD_SUFFIXES,
+    check_image,
+    read_bytes,
+    read_image,
+)
+from amusic_gym.routes.numbering import arranged, gaps, natural_key, same_numbers
+from amusic_gym.storage import open_file
 from amusic_gym.techniques.protocol import Image
 
 _NAMED = 5  # frames that a warning names before it only counts
@@ -22,25 +30,30 @@ _CHUNK = 1 << 16  # bytes of two files that are compared at a time
 
 @dataclass(frozen=True, init=False)
 class ImageFolder:
-    """The images of a folder in the natural order of their names: img2 before img10.
+    """The images of a folder in the order of their names: img2 before img10, 7.033 before 7.1.
 
     Making one looks at names and file sizes and decodes nothing; ``folder[i]`` reads image i. It
     pickles and compares by the paths it found. Sub-folders are followed, links too, each real
-    folder once. Files and folders whose names begin with a dot do not count.
+    folder once. Files and folders whose names begin with a dot do not count. How names are read is
+    said in `amusic_gym.routes.numbering.arranged`.
 
     Only images at an even pace along the route make a traverse, so there is a `UserWarning` with
     the frames' numbers where that looks broken: numbers missing or used twice, and neighbouring
-    files that are the same byte for byte (a stop, or frames written twice).
+    files that are the same byte for byte (a stop, or frames written twice). There is one, too,
+    for images of several sub-folders, and for files that look like images and are not read.
 
     Args:
         path: the folder.
+        order: names of images from the folder on, or the path of a text file with a name on each
+            line: the traverse is these, in this order. None: all, in the order of their names.
         first: index of the first image to take.
         step: take each ``step``-th image from there.
         count: how many to take; None: all to the end.
 
     Raises:
         FileNotFoundError: when there is no such folder, or an image in it is a link to nothing.
-        ValueError: when it holds no images, or fewer than asked for.
+        ValueError: when it holds no images, or fewer than asked for, or none of a name in
+            ``order``; when names do not tell the order.
 
     Attributes:
         path: the folder; of joined folders, the one that holds them all.
@@ -49,6 +62,8 @@ class ImageFolder:
         repeats: (first, last) of each run of neighbouring images with the same bytes.
         changes: what is done to each image once it is read, None where nothing is; () where
             nothing is done to any. See `under`.
+        complete: the traverse before images were left out; None where none were. See `without`.
+        kept: (N,) indices of the images in ``complete``; () where none were left out.
     """
 
     path: Path
@@ -56,21 +71,30 @@ class ImageFolder:
     parts: tuple[int, ...]
     repeats: tuple[tuple[int, int], ...] = field(repr=False)
     changes: tuple[Change | None, ...] = field(repr=False)
+    complete: ImageFolder | None = field(repr=False)
+    kept: tuple[int, ...] = field(repr=False)
 
     def __init__(
         self,
         path: str | os.PathLike[str],
         *,
+        order: Sequence[str] | str | os.PathLike[str] | None = None,
         first: int = 0,
         step: int = 1,
         count: int | None = None,
     ) -> None:
         folder = Path(path)
-        taken = _take(_find_images(folder), folder, first, step, count)
-        paths = tuple(found for found, _ in taken)
+        found, unread = _find_images(folder)
+        if order is None:
+            found = _arranged(found, folder)
+        else:
+            found = _listed(found, folder, order)
+        taken = _take(found, folder, first, step, count)
+        paths = tuple(path for path, _ in taken)
         repeats = _repeats(taken)
         self._set(folder, paths, (len(paths),), repeats)
-        for sentence in _doubts(paths, repeats):
+        doubts = [*_apart(paths, folder, unread), *_doubts(paths, repeats, order is None)]
+        for sentence in doubts:
             warnings.warn(f"{folder}: {sentence}", UserWarning, stacklevel=2)
 
     @classmethod
@@ -83,6 +107,8 @@ class ImageFolder:
         parts = list(folders)
         if not parts:
             raise ValueError("no folders to join; give at least one ImageFolder")
+        if any(part.complete for part in parts):
+            raise ValueError("images were left out of a part; join first, then leave images out")
         above = os.path.commonpath([os.path.abspath(part.path) for part in parts])
         repeats: list[tuple[int, int]] = []
         paths: list[Path] = []
@@ -108,8 +134,54 @@ class ImageFolder:
         if len(changes) != len(self):
             raise ValueError(f"{len(changes)} changes for {len(self)} images; give one for each")
         changed = object.__new__(type(self))
-        changed._set(self.path, self.paths, self.parts, self.repeats, _or_none(changes))
+        how = _or_none(changes)
+        changed._set(self.path, self.paths, self.parts, self.repeats, how, self.complete, self.kept)
         return changed
+
+    def damaged(self) -> dict[int, str]:
+        """Index of each image that cannot be used -> why; reads every file and computes no pixel.
+
+        Raises:
+            FileNotFoundError: for an image that is not there any more.
+        """
+        found = {}
+        for at, path in enumerate(self.paths):
+            try:
+                check_image(read_bytes(path), path)
+            except ValueError as error:
+                found[at] = str(error)
+        return found
+
+    def without(self, left_out: Iterable[int]) -> ImageFolder:
+        """The traverse without some images; the others keep their numbers for ground truth.
+
+        Args:
+            left_out: indices of images.
+
+        Raises:
+            ValueError: when none would be left of a part, or some were left out before.
+        """
+        lost = set(left_out)
+        if not lost:
+            return self
+        kept = [at for at in range(len(self)) if at not in lost]
+        part_of = [part for part, length in enumerate(self.parts) for _ in range(length)]
+        lengths = Counter(part_of[at] for at in kept)
+        if self.complete is not None or len(lengths) < len(self.parts):
+            raise ValueError(f"{self.path}: no image is left to use, or some were left out before")
+        place = {at: number for number, at in enumerate(kept)}
+        runs = [[place[at] for at in range(a, b + 1) if at in place] for a, b in self.repeats]
+        rest = object.__new__(type(self))
+        rest._set(
+            self.path,
+            tuple(self.paths[at] for at in kept),
+            tuple(lengths[part] for part in range(len(self.parts))),
+            tuple((run[0], run[-1]) for run in runs if len(run) > 1),
+            _or_none([self.changes[at] for at in kept]) if self.changes else (),
+            self,
+            tuple(kept),
+        )
+        return rest
 
     def _set(
         self,
@@ -118,12 +190,16 @@ class ImageFolder:
         parts: tuple[int, ...],
         repeats: tuple[tuple[int, int], ...],
         changes: tuple[Change | None, ...] = (),
+        complete: ImageFolder | None = None,
+        kept: tuple[int, ...] = (),
     ) -> None:
         object.__setattr__(self, "path", path)
         object.__setattr__(self, "paths", paths)
         object.__setattr__(self, "parts", parts)
         object.__setattr__(self, "repeats", repeats)
         object.__setattr__(self, "changes", changes)
+        object.__setattr__(self, "complete", complete)
+        object.__setattr__(self, "kept", kept)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -143,18 +219,40 @@ class ImageFolder:
         return map(self.__getitem__, range(len(self)))
 
 
+def check_apart(reference: object, query: object) -> None:
+    """Refuse a map that holds the folder of its own run, or the other way round.
+
+    Args:
+        reference: the map; anything but an `ImageFolder` passes.
+        query: the run.
+
+    Raises:
+        ValueError: naming both.
+    """
+    if not (isinstance(reference, ImageFolder) and isinstance(query, ImageFolder)):
+        return
+    here, there = (Path(os.path.realpath(folder.path)) for folder in (reference, query))
+    shared = set(map(os.path.realpath, reference.paths)) & set(map(os.path.realpath, query.paths))
+    if here != there and shared:
+        raise ValueError(
+            f"{len(shared)} of the {len(query)} images of the run {query.path} are among the "
+            f"{len(reference)} of the map {reference.path}; give a folder of its own for each"
+        )
+
+
 def _or_none(changes: Sequence[Change | None]) -> tuple[Change | None, ...]:
     """``changes``; () where all are None, so that folders that read alike are equal."""
     return tuple(changes) if any(change is not None for change in changes) else ()
 
 
-def _find_images(folder: Path) -> list[tuple[Path, int]]:
-    """Image files below ``folder`` with their sizes in bytes, in natural order."""
+def _find_images(folder: Path) -> tuple[list[tuple[Path, int]], list[str]]:
+    """Image files below ``folder`` with their sizes in bytes; names of those that are not read."""
     if not folder.is_dir():
         if folder.exists():
             raise ValueError(f"{folder} is a file; give the folder that holds the images")
         raise FileNotFoundError(f"{folder} does not exist; give the folder that holds the images")
     found: list[tuple[Path, int]] = []
+    unread: list[str] = []
     seen: set[tuple[int, int]] = set()
     pending = [folder]
     while pending:
@@ -163,19 +261,51 @@ def _find_images(folder: Path) -> list[tuple[Path, int]]:
         if (status.st_dev, status.st_ino) in seen:  # a link to where we have been: loops end here
             continue
         seen.add((status.st_dev, status.st_ino))
-        images, inner = _look_into(directory)
+        images, inner, others = _look_into(directory)
         found += images
+        unread += others
         pending += sorted(inner, key=lambda path: natural_key(path.name), reverse=True)
     if not found:
+        but = f", but {_unread(unread)}" if unread else ""
         raise ValueError(
-            f"{folder} holds no images; give a folder with files that end in {', '.join(SUFFIXES)}"
+            f"{folder} holds no images; give a folder with files that end in "
+            f"{', '.join(SUFFIXES)}{but}"
         )
-    return sorted(found, key=lambda item: path_key(item[0].relative_to(folder)))
+    return found, sorted(unread, key=natural_key)
 
 
-def _look_into(directory: Path) -> tuple[list[tuple[Path, int]], list[Path]]:
-    """Images of one folder with their sizes, and its sub-folders."""
-    images, inner = [], []
+def _arranged(found: list[tuple[Path, int]], folder: Path) -> list[tuple[Path, int]]:
+    try:
+        return [found[at] for at in arranged([path.relative_to(folder) for path, _ in found])]
+    except ValueError as error:
+        raise ValueError(f"{folder}: {error}") from None
+
+
+def _listed(
+    found: list[tuple[Path, int]], folder: Path, order: Sequence[str] | str | os.PathLike[str]
+) -> list[tuple[Path, int]]:
+    """The images of a list of names, in its order."""
+    what = "order"
+    if isinstance(order, str | os.PathLike):
+        what, names = os.fspath(order), []
+        with open_file(Path(order)) as file:
+            lines = file.read().decode("utf-8-sig", "surrogateescape").splitlines()
+        names = [line.strip() for line in lines if line.strip() and not line.startswith("#")]
+    else:
+        names = list(order)
+    images = {path.relative_to(folder).as_posix(): (path, size) for path, size in found}
+    for name, count in Counter(names).items():
+        if name not in images or count > 1:
+            why = "names it twice" if count > 1 else "names it, but it is no image of the folder"
+            raise ValueError(f"{folder}: {name!r}: {what} {why}; give each image's name once")
+    if not names:
+        raise ValueError(f"{what} names no image of {folder}; give a name on each line")
+    return [images[name] for name in names]
+
+
+def _look_into(directory: Path) -> tuple[list[tuple[Path, int]], list[Path], list[str]]:
+    """Images of one folder with their sizes, its sub-folders, and images that are not read."""
+    images, inner, others = [], [], []
     with os.scandir(directory) as entries:
         for entry in entries:
             path = directory / entry.name
@@ -188,7 +318,9 @@ def _look_into(directory: Path) -> tuple[list[tuple[Path, int]], list[Path]]:
                 inner.append(path)
             elif named_so:
                 images.append((path, _size(entry, path)))
-    return images, inner
+            elif path.suffix.lower() in UNREAD_SUFFIXES:
+                others.append(entry.name)
+    return images, inner, others
 
 
 def _is_folder(entry: os.DirEntry[str]) -> bool:
@@ -247,23 +379,46 @@ def _same_bytes(one: Path, other: Path) -> bool:
                 return True
 
 
-def _doubts(paths: Sequence[Path], repeats: Sequence[tuple[int, int]]) -> Iterator[str]:
+def _apart(paths: Sequence[Path], folder: Path, unread: Sequence[str]) -> Iterator[str]:
+    """What speaks against these being the images of one traverse, all of them."""
+    pieces = Counter(path.parent.relative_to(folder).as_posix() for path in paths)
+    if len(pieces) > 1:
+        named = [f"{name} ({count})" for name, count in pieces.items()]
+        yield (
+            f"images of {len(pieces)} folders are read as one route, one after the other: "
+            f"{_some(named)}; give one of them if these are several cameras or traverses"
+        )
+    if unread:
+        yield _unread(unread)
+
+
+def _unread(names: Sequence[str]) -> str:
+    suffix = names[0].rpartition(".")[2]
+    return (
+        f"{len(names)} files look like images but are not read ({_some(names)}): convert them, "
+        f"say by `magick mogrify -format jpg *.{suffix}`, or move them away"
+    )
+
+
+def _doubts(
+    paths: Sequence[Path], repeats: Sequence[tuple[int, int]], by_name: bool
+) -> Iterator[str]:
     """What speaks against these images being one even traverse, a sentence each."""
     broken = "neighbouring frames must be neighbours on the route"
-    if missing := gaps(paths):
+    if by_name and (missing := gaps(paths)):
         named = [f"{at} to {at + 1} ({paths[at].name}, {paths[at + 1].name})" for at in missing]
-        yield f"numbers are missing from frame {_listed(named)}; {broken}: look for lost files"
-    if doubled := same_numbers(paths):
+        yield f"numbers are missing from frame {_some(named)}; {broken}: look for lost files"
+    if by_name and (doubled := same_numbers(paths)):
         named = [f"{at} and {at + 1} ({paths[at].name}, {paths[at + 1].name})" for at in doubled]
-        yield f"the same number is on frames {_listed(named)}; {broken}: keep one file of each"
+        yield f"the same number is on frames {_some(named)}; {broken}: keep one file of each"
     if repeats:
         named = [f"{first} to {last}" for first, last in repeats]
         yield (
-            f"the same image is repeated in frames {_listed(named)}; {broken}: drop the copies, "
+            f"the same image is repeated in frames {_some(named)}; {broken}: drop the copies, "
             "in both traverses alike"
         )
 
 
-def _listed(items: Sequence[str]) -> str:
+def _some(items: Sequence[str]) -> str:
     more = f" and {len(items) - _NAMED} more" if len(items) > _NAMED else ""
     return ", ".join(items[:_NAMED]) + more

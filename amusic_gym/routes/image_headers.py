@@ -14,18 +14,25 @@ from collections.abc import Callable
 KINDS = "JPEG, PNG, BMP, PNM, TIFF or WebP"
 """The kinds of image file that are read."""
 
+MAX_SCANS = 64
+"""Of a progressive JPEG: each costs as much time as a whole image, and ten are usual."""
+
 Size = tuple[int, int]
 """(width, height) in pixels, as stored: before any rotation."""
 
 # A JPEG marker: 0xff and a code. 0xff00 is a 0xff in the picture's data, 0xffff is fill, and the
 # restart markers d0-d7 stand between pieces of that data.
-_JPEG_MARKER = re.compile(rb"\xff([\x01-\xcf\xd8-\xfe])")
+JPEG_MARKER = re.compile(rb"\xff([\x01-\xcf\xd8-\xfe])")
 _JPEG_BARE = b"\x01\xd8"  # markers without a length: TEM, and a start of image out of place
-_JPEG_END = b"\xd9"
+_JPEG_END, _JPEG_SCAN = b"\xd9", b"\xda"
 _JPEG_NO_FRAME = b"\xc4\xc8\xcc"  # in the range of the frame headers c0-cf, but something else
 
 _PNM_GAP = rb"\s(?:\s|#[^\n]*\n)*"
 _PNM = re.compile(rb"P[1-6]" + _PNM_GAP + rb"(\d+)" + _PNM_GAP + rb"(\d+)")
+PNM_MAXIMUM = re.compile(
+    rb"P[2356]" + _PNM_GAP + rb"\d+" + _PNM_GAP + rb"\d+" + _PNM_GAP + rb"0*(\d{1,5})\s"
+)
+"""Header of a grey or colour PNM with the value that is white."""
 
 
 def measure(data: bytes) -> Size:
@@ -52,13 +59,16 @@ def measure(data: bytes) -> Size:
 
 def _jpeg(data: bytes) -> Size:
     size = (0, 0)
-    at = 2
-    while marker := _JPEG_MARKER.search(data, at):
+    at, scans = 2, 0
+    while marker := JPEG_MARKER.search(data, at):
         code, at = marker[1], marker.end()
         if code == _JPEG_END:
             return size
         if code in _JPEG_BARE:
             continue
+        scans += code == _JPEG_SCAN
+        if scans > MAX_SCANS:
+            raise ValueError(f"is damaged: a JPEG of more than {MAX_SCANS} scans")
         if b"\xc0" <= code <= b"\xcf" and code not in _JPEG_NO_FRAME and size == (0, 0):
             height, width = struct.unpack_from(">HH", data, at + 3)
             size = width, height
@@ -104,18 +114,43 @@ def _pnm(data: bytes) -> Size:
     found = _PNM.match(data[:4096])  # comments may be long, but not that long
     if found is None:
         raise ValueError("is damaged: a PNM without its width and height")
-    return int(found[1][:10]), int(found[2][:10])
+    width, height = (int(digits.lstrip(b"0")[:10] or b"0") for digits in found.groups())
+    return width, height
 
 
 def _tiff(data: bytes) -> Size:
+    tags = tiff_tags(data)
+    width, height = tags.get(256, ()), tags.get(257, ())  # told twice, decoders take either
+    return max(width, default=0), max(height, default=0)
+
+
+# Kind of a TIFF's numbers -> their letter for `struct`; others are no whole numbers.
+_TIFF_KINDS = {1: "B", 3: "H", 4: "I", 6: "b", 8: "h", 9: "i", 16: "Q", 17: "q"}
+
+
+def tiff_tags(data: bytes) -> dict[int, tuple[int, ...]]:
+    """Whole numbers in the first directory of a TIFF by their tag, of tags told twice all.
+
+    Raises:
+        struct.error: where the file ends within them.
+    """
     order = "<" if data[:1] == b"I" else ">"
-    at = struct.unpack_from(order + "I", data, 4)[0]
-    tags = {}
-    for entry in range(struct.unpack_from(order + "H", data, at)[0]):
-        tag, kind = struct.unpack_from(order + "HH", data, at + 2 + 12 * entry)
-        number = "H" if kind == 3 else "I"
-        tags[tag] = struct.unpack_from(order + number, data, at + 10 + 12 * entry)[0]
-    return tags.get(256, 0), tags.get(257, 0)
+    (first,) = struct.unpack_from(order + "I", data, 4)
+    (count,) = struct.unpack_from(order + "H", data, first)
+    tags: dict[int, tuple[int, ...]] = {}
+    for at in range(first + 2, first + 2 + 12 * count, 12):
+        tag, kind, length = struct.unpack_from(order + "HHI", data, at)
+        if kind not in _TIFF_KINDS:
+            continue
+        numbers = f"{order}{length}{_TIFF_KINDS[kind]}"
+        size = struct.calcsize(numbers)
+        where = at + 8
+        if size > 4:
+            (where,) = struct.unpack_from(order + "I", data, where)
+        if where + size > len(data):
+            raise struct.error
+        tags[tag] = tags.get(tag, ()) + struct.unpack_from(numbers, data, where)
+    return tags
 
 
 _READERS: tuple[tuple[re.Pattern[bytes], Callable[[bytes], Size]], ...] = (

@@ -2,7 +2,8 @@
 
 Every function gives a `GroundTruth`, as ``ScoreBank(ground_truth=...)`` takes it. Where a tolerance
 of some places counts, it ends where one of several joined folders ends: the last image of a street
-and the first of the next are neighbours in the list only.
+and the first of the next are neighbours in the list only. Where images were left out of a traverse
+(`ImageFolder.without`), the others count with the numbers that they had before.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import math
 import os
 import re
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,11 @@ from amusic_gym.routes.folders import ImageFolder
 METRES = 25.0
 """Distance within which two images show the same place, as it is customary in this field."""
 
+HALF_TURN = 180
+"""Degrees, the largest difference of two headings."""
+
+_STRETCH = 2.0  # a traverse is longer than so many metres, and seldom than as many degrees
+
 PAIRS_HEADER = ["query", "place"]
 """First line of a text file that lists pairs."""
 
@@ -38,6 +45,8 @@ def by_index(reference: ImageFolder, query: ImageFolder, tolerance: int) -> Grou
         ValueError: when the folders are not joined of the same number of parts, or a part of the
             query holds more images than its part of the reference.
     """
+    if reference.complete or query.complete:
+        return _kept(by_index(_all(reference), _all(query), tolerance), reference, query)
     parts = list(zip(reference.parts, query.parts, strict=False))
     if len(reference.parts) != len(query.parts) or any(here < there for here, there in parts):
         raise ValueError(
@@ -59,6 +68,8 @@ def by_name(reference: ImageFolder, query: ImageFolder, tolerance: int) -> Groun
     Raises:
         ValueError: when no frame at all has a namesake, or two places share a name.
     """
+    if reference.complete or query.complete:
+        return _kept(by_name(_all(reference), _all(query), tolerance), reference, query)
     places: dict[tuple[int, str], int] = {}
     for place, name in enumerate(_keys(reference)):
         if name in places:
@@ -76,20 +87,49 @@ def by_name(reference: ImageFolder, query: ImageFolder, tolerance: int) -> Groun
     return _around(centres, tolerance, reference)
 
 
-def by_position(reference: ImageFolder, query: ImageFolder, metres: float = METRES) -> GroundTruth:
+def by_position(
+    reference: ImageFolder,
+    query: ImageFolder,
+    metres: float = METRES,
+    *,
+    heading: float | None = None,
+) -> GroundTruth:
     """True places lie within ``metres`` of the frame, by names like @UTM_EAST@UTM_NORTH@...@.jpg.
 
-    The convention is that of VPR-methods-evaluation and its data sets; both folders must be in the
-    same UTM zone. Warns when no frame has a true place.
+    The convention is that of VPR-methods-evaluation and its data sets:
+    @EAST@NORTH@ZONE@BAND@LATITUDE@LONGITUDE@NUMBER@TILE@HEADING@..., of which the first two must
+    be there. Warns when no frame has a true place.
+
+    Args:
+        reference: the map.
+        query: the run.
+        metres: within which a place is true.
+        heading: true places are also seen in a direction within so many degrees of the frame's;
+            None: in any.
 
     Raises:
-        ValueError: for a name without position, or ``metres`` that are no distance.
+        ValueError: for a name without position, or without heading where that counts; for
+            positions in degrees or in different UTM zones; where every place is true for every
+            frame; for ``metres`` or ``heading`` that are none.
     """
     if not 0 <= metres < math.inf:
         raise ValueError(f"metres is {metres!r}; give a distance of 0 or more")
+    if heading is not None and not 0 <= heading <= HALF_TURN:
+        raise ValueError(f"heading is {heading!r}; give degrees from 0 to {HALF_TURN}, or None")
     here, there = _positions(reference), _positions(query)  # (R, 2), (Q, 2)
-    near = [np.nonzero(np.hypot(*(here - frame).T) <= metres)[0] for frame in there]
-    truth = _truth(near, len(reference))
+    _check_metres(np.concatenate([here, there]), reference)
+    _check_zones(reference, query)
+    near = [np.hypot(*(here - frame).T) <= metres for frame in there]
+    if heading is not None:
+        ours, its = _headings(reference), _headings(query)
+        turned = [abs((ours - each + HALF_TURN) % (2 * HALF_TURN) - HALF_TURN) for each in its]
+        near = [row & (turn <= heading) for row, turn in zip(near, turned, strict=True)]
+    truth = _truth([np.nonzero(row)[0] for row in near], len(reference))
+    if len(reference) > 1 and all(row.all() for row in near):
+        raise ValueError(
+            f"every image of {reference.path} lies within {metres} m of every one of {query.path}, "
+            "so any place would be right; give fewer metres, and check that positions are in metres"
+        )
     if not truth.has_place.any():
         warnings.warn(
             f"no image in {query.path} lies within {metres} m of one in {reference.path}; check "
@@ -126,6 +166,9 @@ def from_file(
         FileNotFoundError: when there is no such file.
         ValueError: for another shape or range, a line that cannot be read, or a missing tolerance.
     """
+    if reference.complete or query.complete:
+        whole = from_file(path, _all(reference), _all(query), tolerance, trust)
+        return _kept(whole, reference, query)
     path = Path(path)
     queries, references = len(query), len(reference)
     array: GroundTruth | NDArray[Any]
@@ -154,6 +197,20 @@ def with_copies(truth: GroundTruth, reference: ImageFolder) -> GroundTruth:
         run_of[first : last + 1] = first
     runs = [np.unique(run_of[truth.places[a:b]]) for a, b in _rows(truth)]
     return _truth([np.nonzero(np.isin(run_of, run))[0] for run in runs], len(reference))
+
+
+def _all(folder: ImageFolder) -> ImageFolder:
+    """The traverse before images were left out of it."""
+    return folder.complete or folder
+
+
+def _kept(truth: GroundTruth, reference: ImageFolder, query: ImageFolder) -> GroundTruth:
+    """What of the truth of complete traverses holds for the images that were kept."""
+    index = np.full(truth.references, -1)
+    index[list(reference.kept) or slice(None)] = np.arange(len(reference))
+    places = [index[truth.places[a:b]] for a, b in _rows(truth)]
+    frames = query.kept or range(len(query))
+    return _truth([places[at][places[at] >= 0] for at in frames], len(reference))
 
 
 def _around(centres: NDArray[np.generic], tolerance: int, reference: ImageFolder) -> GroundTruth:
@@ -197,21 +254,59 @@ def _keys(folder: ImageFolder) -> list[tuple[int, str]]:
     return list(zip(part_of, names, strict=True))
 
 
+def _fields_of(path: Path) -> list[str]:
+    """Fields of a name like @UTM_EAST@UTM_NORTH@..., each in its place; "" where there is none."""
+    return [*path.stem.split("@"), *[""] * 14]
+
+
+def _numbers_in(folder: ImageFolder, fields: Sequence[int], wanted: str) -> NDArray[np.float64]:
+    """(N, fields) numbers in the names."""
+    numbers = np.empty((len(folder), len(fields)))
+    for at, path in enumerate(folder.paths):
+        try:
+            numbers[at] = [float(_fields_of(path)[field]) for field in fields]
+        except ValueError:
+            numbers[at] = math.nan
+        if not np.isfinite(numbers[at]).all():
+            raise ValueError(f"{path} does not say {wanted}")
+    return numbers
+
+
 def _positions(folder: ImageFolder) -> NDArray[np.float64]:
     """(N, 2) UTM easting and northing in metres."""
-    positions = np.empty((len(folder), 2))
-    for at, path in enumerate(folder.paths):
-        pieces = path.name.split("@")
-        try:
-            positions[at] = float(pieces[1]), float(pieces[2])
-        except (IndexError, ValueError):
-            positions[at] = math.nan
-        if not np.isfinite(positions[at]).all():
-            raise ValueError(
-                f"{path} does not say where it is; its name must begin with "
-                "@UTM_EAST@UTM_NORTH@, both in metres"
-            )
-    return positions
+    where = "where it is; its name must begin with @UTM_EAST@UTM_NORTH@, both in metres"
+    return _numbers_in(folder, (1, 2), where)
+
+
+def _headings(folder: ImageFolder) -> NDArray[np.float64]:
+    """(N,) degrees."""
+    where = "in which direction it looks; the ninth field of its name must be the heading"
+    return _numbers_in(folder, (9,), where)[:, 0]
+
+
+def _check_metres(positions: NDArray[np.float64], reference: ImageFolder) -> None:
+    """Refuse degrees: numbers in their range, all within a stretch that would be 2 metres."""
+    small = (abs(positions) <= (HALF_TURN, HALF_TURN)).all()
+    if small and len(positions) > 2 and (np.ptp(positions, axis=0) < _STRETCH).all():
+        east, north = positions[0]
+        raise ValueError(
+            f"{reference.path}: positions such as @{east}@{north}@ look like degrees of longitude "
+            "and latitude; give metres of UTM easting and northing in the names"
+        )
+
+
+def _check_zones(*folders: ImageFolder) -> None:
+    """Refuse positions that are told to be in several UTM zones: they cannot be compared."""
+    zones: dict[str, Path] = {}
+    for path in (path for folder in folders for path in folder.paths):
+        zone, band = _fields_of(path)[3:5]
+        if zone.isdecimal() and 1 <= int(zone) <= 60 and len(band) == 1 and band.isalpha():
+            zones.setdefault(f"{int(zone)} {'north' if band.upper() >= 'N' else 'south'}", path)
+    if len(zones) > 1:
+        named = ", ".join(f"{zone} ({path})" for zone, path in zones.items())
+        raise ValueError(
+            f"positions are in different UTM zones: {named}; give all in one zone, or drop others"
+        )
 
 
 def _read_text(path: Path, queries: int, references: int) -> GroundTruth | NDArray[np.generic]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from amusic_gym.audit import PARTING
+from amusic_gym.escaping import for_markdown
 from amusic_gym.marks import footnote, marked
 from amusic_gym.plots.labels import policy_label
 from amusic_gym.settings import statistic_label
@@ -48,8 +49,14 @@ class Table:
         """A heading, the table and its note."""
         ends = [":--" if i < self.words else "--:" for i in range(len(self.heads))]
         lines = [self.heads, ends, *self.rows]
-        body = "\n".join(f"| {' | '.join(map(_escaped, line))} |" for line in lines)
-        return "\n\n".join([f"### {self.title}", body, *([self.note] if self.note else [])])
+        body = "\n".join(f"| {' | '.join(map(for_markdown, line))} |" for line in lines)
+        return "\n\n".join(
+            [
+                f"### {for_markdown(self.title)}",
+                body,
+                *([for_markdown(self.note)] if self.note else []),
+            ]
+        )
 
 
 def tables(findings: Findings) -> list[Table]:
@@ -78,7 +85,7 @@ def write_markdown(findings: Findings, folder: str | Path) -> Path:
     """Write `TABLES`, of which each part may be copied into the documentation."""
     blocks = [table.markdown() for table in tables(findings)]
     if findings.warnings:
-        blocks.append("\n".join(f"- **{line}**" for line in findings.warnings))
+        blocks.append("\n".join(f"- **{for_markdown(line)}**" for line in findings.warnings))
     return write_whole(Path(folder) / TABLES, ("\n\n".join(blocks) + "\n").encode())
 
 
@@ -302,7 +309,3 @@ def _maybe(value: float | None, words: Callable[[float], str]) -> str:
 
 def _interval(ends: Sequence[float] | None, words: Callable[[float], str] = _three) -> str:
     return "" if ends is None else f"{words(ends[0])} … {words(ends[1])}"
-
-
-def _escaped(cell: str) -> str:
-    return cell.replace("|", "\\|")
