@@ -24,7 +24,7 @@ from agents.selector import TrainedSelector
 from amusic_gym.observation import observation_size
 from amusic_gym.policy import Selector
 from amusic_gym.sources import RouteSource
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import write_whole
 
 SEEN = "seen"
 """Folder of what was seen in each round; it goes when the last one is done."""

@@ -29,7 +29,7 @@ from agents.run_folder import (
     write_tensors,
 )
 from amusic_gym.policy import Selector
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import write_whole
 
 
 class Records:

@@ -30,7 +30,7 @@ from agents.learners import kind as kind_of
 from agents.network import VERSION as NETWORK_VERSION
 from amusic_gym.observation import VERSION as OBSERVATION_VERSION
 from amusic_gym.settings import STATISTICS
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import write_whole
 
 FORMAT_VERSION = 1
 CONFIG = "config.json"

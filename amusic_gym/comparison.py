@@ -143,7 +143,6 @@ def compare(
         raise ValueError("no policy to compare; give at least one")
     stems = distinct([_stem(entry) for entry in entries])
     out = Path(out)
-    comparison_files.sweep(out / ROWS)
     traces, rows = [], []
     for number, (entry, stem) in enumerate(zip(entries, stems, strict=True), 1):
         trace, row, kept = _finish(entry, out / ROWS, report)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,11 @@ import numpy as np
 
 from amusic_gym import bank_files
 from amusic_gym.bank import ScoreBank
-from amusic_gym.trace import Trace, write_whole
+from amusic_gym.storage import write_whole
+from amusic_gym.trace import Trace
 
 FORMAT_VERSION = 3
 """Of a row's file: 2 has ``similarity``, 3 ``carry``. Others are written again."""
-
-STALE_SECONDS = 3600.0
 
 Key = Mapping[str, Any]
 
@@ -94,13 +92,6 @@ def load_row(folder: Path, key: Key, bank: ScoreBank) -> Trace | None:
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"{path} is damaged ({error}); delete it") from None
-
-
-def sweep(folder: Path) -> None:
-    """Remove what killed writers left half-written; what is young may be another one's work."""
-    for path in folder.glob(".*"):
-        if path.is_file() and time.time() - path.stat().st_mtime > STALE_SECONDS:
-            path.unlink(missing_ok=True)
 
 
 def save_results(path: Path, rows: list[dict[str, Any]], mean: list[dict[str, Any]]) -> Path:

@@ -1,4 +1,8 @@
-"""Folders that appear whole or not at all, and arrays read from disk with plain refusals."""
+"""Files and folders that appear whole or not at all, and what is read with plain refusals.
+
+Whatever is written has a hidden name, ``.amusic-….tmp``, and a lock until it is whole. What has
+such a name and no lock is what a killed writer left; the next writer in its folder removes it.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +15,9 @@ import os
 import secrets
 import shutil
 import sys
+import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
@@ -22,6 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 _PREFIX = ".amusic-"
+_UNFINISHED = f"{_PREFIX}*.tmp*"
+_PATIENCE = 2.0
+"""Seconds to wait for a lock without a word."""
+
 _SWAP_UNSUPPORTED = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EXDEV, errno.EPERM)
 _OCCUPIED = (errno.ENOTEMPTY, errno.EEXIST)
 
@@ -177,18 +186,15 @@ def replacing_folder(path: Path, marker: str, contents: frozenset[str]) -> Itera
     path = Path(os.path.realpath(path))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with _locked(path.parent):  # one writer at a time looks, sweeps and renames
+        with locked(path.parent):  # one writer at a time looks, sweeps and renames
             refuse_to_replace_others(path, marker, contents)
-            _sweep(path)
-            folder = path.parent / f"{_PREFIX}{secrets.token_hex(8)}.tmp"
-            folder.mkdir()
-            alive = contextlib.ExitStack()
-            alive.enter_context(_locked(folder))
-        with alive, _removed_at_the_end(folder):
+            _sweep_exchange(path)
+        sweep(path.parent)
+        with unfinished(path.parent, make=Path.mkdir) as folder:
             yield folder
             for file in (*folder.iterdir(), folder):
                 _fsync(file)
-            with _locked(path.parent):
+            with locked(path.parent):
                 refuse_to_replace_others(path, marker, contents)
                 _move_into_place(folder, path)
             with contextlib.suppress(OSError):  # the new folder stands; not all systems sync names
@@ -231,46 +237,168 @@ def refuse_to_replace_others(path: Path, marker: str, contents: frozenset[str]) 
 
 
 @contextlib.contextmanager
-def _removed_at_the_end(folder: Path) -> Iterator[None]:
+def replacing_file(path: Path) -> Iterator[Path]:
+    """Yield an empty file that takes the place of ``path`` when the block ends well.
+
+    Whatever happens (an error, a full disk, SIGKILL), ``path`` holds the old file or the new one,
+    whole.
+
+    Args:
+        path: the final name; its parents are made.
+
+    Raises:
+        OSError: when writing fails; nothing at ``path`` has changed then.
+    """
     try:
-        yield
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)  # unfinished work, or the folder replaced
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _sweep_once(path.parent)
+        with unfinished(path.parent, path.suffix) as temporary:
+            yield temporary
+            os.replace(temporary, path)
+    except OSError as error:
+        raise OSError(
+            error.errno,
+            f"writing {path} failed ({error.strerror or error}); nothing was changed there: "
+            "free some space or choose another folder",
+        ) from error
+
+
+def write_whole(path: str | os.PathLike[str], content: bytes) -> Path:
+    """Write a file, whole or not at all, and make its folder; see `replacing_file`."""
+    path = Path(path)
+    with replacing_file(path) as temporary:
+        temporary.write_bytes(content)
+    return path
 
 
 @contextlib.contextmanager
-def _locked(folder: Path, wait: bool = True) -> Iterator[bool]:
-    """Hold the lock on ``folder`` itself, which the system drops when the process ends.
+def unfinished(
+    folder: Path, suffix: str = "", make: Callable[[Path], object] = Path.touch
+) -> Iterator[Path]:
+    """Yield a new file or folder in ``folder`` that is gone at the end, unless it was renamed.
+
+    Its permissions are those that the umask gives. While it is locked nobody sweeps it.
+
+    Args:
+        folder: where.
+        suffix: end of its name.
+        make: makes it; default: an empty file.
+    """
+    while True:
+        path = folder / f"{_PREFIX}{secrets.token_hex(8)}.tmp{suffix}"
+        make(path)
+        try:
+            with contextlib.ExitStack() as alive:
+                try:
+                    alive.enter_context(locked(path))
+                except FileNotFoundError:
+                    continue  # swept before it was locked
+                if path.exists():
+                    yield path
+                    return
+        finally:
+            _remove(path)
+
+
+@contextlib.contextmanager
+def only_writer(folder: Path) -> Iterator[None]:
+    """Hold ``folder``, which is made, for this process alone among those that ask so.
+
+    Raises:
+        ValueError: when another process holds it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with contextlib.ExitStack() as alone:
+        try:
+            alone.enter_context(locked(folder, wait=False))
+        except BlockingIOError:
+            raise ValueError(
+                f"{folder} is in use by another process; wait for its end or give another folder"
+            ) from None
+        yield
+
+
+@contextlib.contextmanager
+def locked(path: Path, wait: bool = True) -> Iterator[bool]:
+    """Hold the lock on a file or folder, which the system drops when the process ends.
 
     Yields:
-        False where it is taken (``wait=False``) or the file system has no locks: writers then go
-        on without, and nothing is swept.
-    """
-    import fcntl  # POSIX only: here, so that reading works elsewhere
+        False where the file system has no locks: writers then go on without, and nothing is swept.
 
-    descriptor = os.open(folder, os.O_RDONLY)
+    Raises:
+        BlockingIOError: where it is taken, with ``wait=False``.
+    """
+    descriptor = os.open(path, os.O_RDONLY)
     try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except OSError:
-            yield False
-        else:
-            yield True
+        yield _lock(descriptor, path, wait)
     finally:
         os.close(descriptor)
 
 
-def _sweep(path: Path) -> None:
-    """Remove what dead writers left next to ``path``, and their half exchange of ``path``."""
+def _lock(descriptor: int, path: Path, wait: bool) -> bool:
+    try:
+        import fcntl  # POSIX only: here, so that the rest works elsewhere
+    except ImportError:
+        return False
+    patience = time.monotonic() + _PATIENCE
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if not wait:
+                raise
+        except OSError:
+            return False
+        else:
+            return True
+        if time.monotonic() > patience:
+            patience = math.inf
+            warnings.warn(
+                f"waiting for the lock on {path}, which another process holds (or `flock`, if it"
+                " runs this command: let it lock something else)",
+                stacklevel=2,
+            )
+        time.sleep(0.01)
+
+
+def is_unfinished(path: Path) -> bool:
+    """Whether a file or folder has the name of one that is being written, or never was whole."""
+    return path.match(_UNFINISHED)
+
+
+def sweep(folder: Path) -> None:
+    """Remove what killed writers left unfinished in ``folder``, and nothing else."""
+    for path in folder.glob(_UNFINISHED):
+        with contextlib.suppress(OSError), locked(path, wait=False) as dead:
+            if dead:
+                _remove(path)
+
+
+_swept: set[Path] = set()
+
+
+def _sweep_once(folder: Path) -> None:
+    folder = Path(os.path.realpath(folder))
+    if folder not in _swept:  # by this process
+        _swept.add(folder)
+        sweep(folder)
+
+
+def _remove(path: Path) -> None:
+    with contextlib.suppress(OSError):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink()
+
+
+def _sweep_exchange(path: Path) -> None:
+    """Mend the half exchange of ``path`` that a dead writer left."""
     restore_folder(path)
     stale = list(path.parent.glob(f"{_aside_stem(path)}*.old"))
     if path.exists():  # looked at after the list was made, so each of these has been replaced
         for aside in stale:
             shutil.rmtree(aside, ignore_errors=True)
-    for folder in path.parent.glob(f"{_PREFIX}*.tmp"):
-        with contextlib.suppress(OSError), _locked(folder, wait=False) as dead:
-            if dead:
-                shutil.rmtree(folder, ignore_errors=True)
 
 
 def _move_into_place(folder: Path, path: Path) -> None:

@@ -18,7 +18,7 @@ from agents.training import simulated_routes
 from amusic_gym.bank import ScoreBank
 from amusic_gym.metrics import compute
 from amusic_gym.rollout import Job, rollouts
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import write_whole
 from baselines.cascade import Cascade
 
 FILE = "teacher.json"

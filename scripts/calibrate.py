@@ -20,7 +20,7 @@ from amusic_gym.bank import ScoreBank
 from amusic_gym.calibration import FILE, UNCALIBRATED, belief_design, design, fit, stored
 from amusic_gym.routes.simulate import population
 from amusic_gym.settings import STATISTICS
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import write_whole
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 RATES = (0.05, 0.1, 0.3, 0.6, 1.0)  # shares of the techniques that run on a frame

@@ -22,7 +22,8 @@ from amusic_gym.correctness import assess, table
 from amusic_gym.policy import Context
 from amusic_gym.rollout import rollout
 from amusic_gym.settings import STATISTICS, SICSettings
-from amusic_gym.trace import Trace, write_whole
+from amusic_gym.storage import write_whole
+from amusic_gym.trace import Trace
 from baselines import make_policy
 
 

@@ -19,7 +19,7 @@ from amusic_gym import __version__
 from amusic_gym.belief.fitting import PLAIN, Drive, activity, from_unit, score, to_unit
 from amusic_gym.belief.rates import FILE, Rates, fitted
 from amusic_gym.routes.simulate import POPULATION
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import write_whole
 
 HELD_OUT_SEED = 1
 STEP = 0.12  # of the search at first, in parts of a rate's limits

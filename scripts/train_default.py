@@ -90,7 +90,7 @@ def ship(out: Path, folder: Path) -> None:
         ValueError: if the selector in ``folder`` does better on the held-out routes.
     """
     from agents.run_folder import SELECTOR, read_config, write_config
-    from amusic_gym.trace import write_whole
+    from amusic_gym.storage import write_whole
 
     if not is_same(out, folder):
         _refuse_worse(out, folder)

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
-from amusic_gym import comparison_files
 from amusic_gym.extraction.executors import make_executor
 from amusic_gym.study import store
 from amusic_gym.study.cells import Cell, Measures
@@ -42,7 +41,6 @@ def run(
     where = make_executor(executor)
     folder = Path(out) / store.FOLDER
     folder.mkdir(parents=True, exist_ok=True)  # fails before hours of work, not after them
-    comparison_files.sweep(folder)
     done = _load(plan, folder, report)
     missing = list({cell.path: cell for cell in plan.cells if cell.path not in done}.values())
     progress = _Progress(len(missing), sum(cell.size for cell in missing), report)

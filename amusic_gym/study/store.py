@@ -10,8 +10,8 @@ from typing import Any
 import amusic_gym
 from amusic_gym.comparison_files import file_digest
 from amusic_gym.extraction.code import key_of
+from amusic_gym.storage import write_whole
 from amusic_gym.study.cells import Measures
-from amusic_gym.trace import write_whole
 
 FORMAT_VERSION = 3
 
