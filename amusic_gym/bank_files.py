@@ -84,10 +84,11 @@ def write(
         The folder's absolute path.
 
     Raises:
-        ValueError: when ``path`` is something other than a bank, or rows are missing.
+        ValueError: when ``path`` is something other than a bank or in one, or rows are missing.
         OSError: when writing fails; what was at ``path`` is still there then.
     """
     path = Path(os.path.realpath(path))
+    refuse_within_bank(path.parent)
     with storage.replacing_folder(path, MANIFEST, FILES) as folder:
         _write_scores(folder / SCORES, scores, (len(techniques), truth.queries, truth.references))
         np.savez(
@@ -113,14 +114,30 @@ def write(
     return path
 
 
+def refuse_within_bank(path: Path) -> None:
+    """Refuse to write to a bank's folder, or below it, anything but the bank.
+
+    Raises:
+        ValueError: naming the bank.
+    """
+    path = Path(os.path.realpath(path))
+    for folder in (path, *path.parents):
+        if (folder / MANIFEST).is_file() and (folder / SCORES).is_file():
+            raise ValueError(
+                f"{path} is in the folder of a score bank ({folder}), which holds nothing else;"
+                " give another place"
+            )
+
+
 def check_destination(path: Path) -> None:
     """Refuse a path that :func:`write` would refuse, before long work is begun for it.
 
     Raises:
-        ValueError: when it is something other than a bank, which must not be replaced.
+        ValueError: when it is something other than a bank, which must not be replaced, or in one.
         OSError: when its folder cannot be made.
     """
     path = Path(os.path.realpath(path))
+    refuse_within_bank(path.parent)
     storage.refuse_to_replace_others(path, MANIFEST, FILES)
     path.parent.mkdir(parents=True, exist_ok=True)
 
@@ -186,7 +203,7 @@ def _read_once(folder: storage.FolderReader, verify: bool) -> BankFiles:
 
 
 def _parse_manifest(path: Path, content: bytes) -> dict[str, Any]:
-    manifest = storage.parse_json(content, path, _REBUILD)
+    manifest: dict[str, Any] = storage.parse_json(content, path, _REBUILD)
     version = manifest.get("format_version")
     if not isinstance(version, int) or version < 1:
         raise ValueError(f"{path} names no format version; {_REBUILD}")

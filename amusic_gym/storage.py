@@ -19,7 +19,7 @@ import stat
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
@@ -30,6 +30,8 @@ from numpy.typing import NDArray
 
 _PREFIX = ".amusic-"
 _UNFINISHED = f"{_PREFIX}*.tmp*"
+_WRITTEN = f"{_PREFIX}written.json"
+_MOST_WRITTEN = 2**24  # bytes
 _PATIENCE = 2.0
 """Seconds to wait for a lock without a word."""
 
@@ -147,13 +149,14 @@ def read_regular(path: Path, limit: int, folder: int | None = None) -> bytes:
     return content
 
 
-def parse_json(content: bytes, path: Path, mend: str) -> dict[str, Any]:
+def parse_json(content: bytes, path: Path, mend: str, kind: type = dict) -> Any:
     """The object that a JSON file holds; every number in it is finite as a float64.
 
     Args:
         content: of the file.
         path: of the file, for messages.
         mend: what to do about a damaged one, for messages.
+        kind: list, where it holds no object but a list.
 
     Raises:
         ValueError: for anything else, also for what is nested too deep.
@@ -177,8 +180,8 @@ def parse_json(content: bytes, path: Path, mend: str) -> dict[str, Any]:
     except (ValueError, RecursionError):
         what = "is not whole JSON of finite numbers" if content.strip() else "is empty"
         raise ValueError(f"{path} {what}; {mend}") from None
-    if not isinstance(parsed, dict):
-        raise ValueError(f"{path} holds no JSON object; {mend}")
+    if not isinstance(parsed, kind):
+        raise ValueError(f"{path} holds no JSON {'list' if kind is list else 'object'}; {mend}")
     return parsed
 
 
@@ -337,6 +340,34 @@ def write_whole(path: str | os.PathLike[str], content: bytes) -> Path:
     with replacing_file(path) as temporary:
         temporary.write_bytes(content)
     return path
+
+
+def keep_only(folder: Path, kind: str, files: Iterable[str | Path]) -> None:
+    """Remove the files of a kind that an earlier run wrote to ``folder`` and this one did not.
+
+    Only what was named in an earlier call is ever removed.
+
+    Args:
+        folder: with `_WRITTEN`, which remembers what was written.
+        kind: of files; others stay.
+        files: of this run, in ``folder`` or below.
+    """
+    path = folder / _WRITTEN
+    written: dict[str, Any] = {}
+    with contextlib.suppress(FileNotFoundError, ValueError):  # a damaged one is begun anew
+        written = parse_json(read_regular(path, _MOST_WRITTEN), path, "delete it")
+    names = [Path(file).relative_to(folder).as_posix() for file in files]
+    before = written.get(kind)
+    for name in before if isinstance(before, list) else []:
+        if isinstance(name, str) and name not in names and _is_below(name):
+            with contextlib.suppress(OSError):
+                (folder / name).unlink()
+    if before != names:
+        write_whole(path, json.dumps({**written, kind: names}, indent=1).encode() + b"\n")
+
+
+def _is_below(name: str) -> bool:
+    return not Path(name).is_absolute() and ".." not in Path(name).parts
 
 
 @contextlib.contextmanager

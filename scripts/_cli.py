@@ -98,6 +98,17 @@ def add_correction(parser: Parser, whose: str) -> None:
     )
 
 
+def destination(text: str) -> Path:
+    """A file or folder to write, as argparse's ``type``: nothing goes into a bank's folder."""
+    from amusic_gym.bank_files import refuse_within_bank  # here: it takes long to import
+
+    try:
+        refuse_within_bank(Path(text))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return Path(text)
+
+
 def insisted(args: argparse.Namespace) -> dict[str, Any]:
     """What the user said of SIC and MuSIC; None: nothing."""
     return {"statistic": args.statistic, "carry": args.carry, "discount": args.discount}

@@ -16,6 +16,7 @@ from amusic_gym.pictures.sightings import Pictures
 from amusic_gym.policy import Selector
 from amusic_gym.routes.tours import Tour
 from amusic_gym.routes.video import VideoWriter
+from amusic_gym.storage import write_whole
 from amusic_gym.task import RENDER_FPS
 from amusic_gym.techniques import make_technique
 
@@ -61,5 +62,5 @@ def drive(out: Path, selector: Selector, tour: Tour, bank: ScoreBank) -> Path:
             picture = pictures.draw(sighting)
             video.write(picture)
             if sighting.frame == SHOWN:
-                path.write_bytes(cv2.imencode(".png", picture[:, :, ::-1])[1].tobytes())
+                write_whole(path, cv2.imencode(".png", picture[:, :, ::-1])[1].tobytes())
     return path

@@ -10,10 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
-from _cli import Parser, run
+from _cli import Parser, destination, run
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.belief.fitting import Drive
@@ -21,6 +20,7 @@ from amusic_gym.belief.rates import Rates, fitted
 from amusic_gym.metrics import area, precision_recall
 from amusic_gym.routes.retime import retime
 from amusic_gym.routes.simulate import POPULATION
+from amusic_gym.storage import write_whole
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 WITHOUT = {
@@ -89,7 +89,7 @@ def main(arguments: list[str] | None = None) -> None:
     add("--simulated", type=int, default=0, metavar="N", help="and so many simulated routes (0)")
     add("--seeds", type=int, default=3, help="re-timings of each bank (3)")
     add("--costs", default="measured", help="cost model (measured)")
-    add("--out", type=Path, help="Markdown file")
+    add("--out", type=destination, help="Markdown file")
     given = parser.parse_args(arguments)
     banks = [ScoreBank.load(folder).with_costs(given.costs) for folder in given.bank]
     for i in range(given.simulated):
@@ -109,10 +109,9 @@ def main(arguments: list[str] | None = None) -> None:
         lines.append([title, *(f"{value:.3f}" for value in values)])
         print("  ".join(lines[-1]), flush=True)
     if given.out:
-        given.out.parent.mkdir(parents=True, exist_ok=True)
         rule = ["---"] * len(lines[0])
         text = "\n".join("| " + " | ".join(line) + " |" for line in (lines[0], rule, *lines[1:]))
-        given.out.write_text(text + "\n", encoding="utf-8")
+        write_whole(given.out, text.encode() + b"\n")
         print(given.out)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _cli import Parser, run
+from _cli import Parser, destination, run
 from numpy.typing import NDArray
 
 from amusic_gym import __version__
@@ -110,7 +110,7 @@ def main(arguments: list[str] | None = None) -> None:
         help="of which; the others stay as they are (all)",
     )
     default = Path(__file__).parent.parent / "amusic_gym" / FILE
-    parser.add_argument("--out", type=Path, default=default, help="the package's file")
+    parser.add_argument("--out", type=destination, default=default, help="the package's file")
     given = parser.parse_args(arguments)
     command = f"python scripts/calibrate.py --routes {given.routes} --seed {given.seed}"
     table: dict[str, Any] = {"made_by": command, "version": __version__, "coefficients": {}}

@@ -14,7 +14,7 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 
-from _cli import Parser, run
+from _cli import Parser, destination, run
 from _contestants import contestants
 from _rivals import study_rivals
 
@@ -72,7 +72,7 @@ def learn(folder: Path, iterations: int, seed: int) -> None:
 def main() -> None:
     """Parse, render, extract, train, compare, tell."""
     parser = Parser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder to write")
+    parser.add_argument("--out", type=destination, default=Path("out/demo"), help="folder to write")
     parser.add_argument("--bank", nargs="+", action="extend", type=Path, default=[], help="yours")
     parser.add_argument(
         "--costs",

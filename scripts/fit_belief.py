@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
-from _cli import Parser, run
+from _cli import Parser, destination, run
 
 from amusic_gym import __version__
 from amusic_gym.belief.fitting import PLAIN, Drive, activity, from_unit, score, to_unit
@@ -79,7 +79,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--threads", type=int, default=2, help="(2)")
     parser.add_argument("--start", type=Path, help="rates to begin with (plain ones)")
     default = Path(__file__).parent.parent / "amusic_gym" / "belief" / FILE
-    parser.add_argument("--out", type=Path, default=default, help="the package's file")
+    parser.add_argument("--out", type=destination, default=default, help="the package's file")
     given = parser.parse_args(arguments)
     start = _stored(given.start) if given.start else PLAIN
     routes, held_out = drives(given.seed, given.routes), drives(HELD_OUT_SEED, given.held_out)

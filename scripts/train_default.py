@@ -12,7 +12,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from _cli import Parser, run
+from _cli import Parser, destination, run
 
 from agents.shipped import SHIPPED, shipped
 from amusic_gym.settings import SICSettings
@@ -137,7 +137,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Parse, train, compare with what ships, and ship where asked."""
     parser = Parser(description=(__doc__ or "").splitlines()[0])
     add = parser.add_argument
-    add("--out", type=Path, required=True, help="run folder")
+    add("--out", type=destination, required=True, help="run folder")
     add("--timesteps", type=int, default=TIMESTEPS, help=f"of PPO, for belief ({TIMESTEPS})")
     add("--seed", type=int, default=SEED, help=f"({SEED})")
     add("--threads", type=int, default=2, help="that drive; the result is the same (%(default)s)")
