@@ -23,10 +23,12 @@ from agents.run_folder import (
     BEST,
     CHECKPOINT,
     EVALUATIONS,
+    SELECTOR,
     Tensors,
     check_layers,
     part,
     read_list,
+    read_selector,
     read_tensors,
     write_config,
     write_selector,
@@ -90,8 +92,10 @@ class Records:
         """Take from a checkpoint what :meth:`checkpoint` gave it.
 
         Raises:
-            KeyError, TypeError, ValueError: for a damaged one.
+            KeyError, TypeError, ValueError: for a damaged one, or a damaged selector.
         """
+        if (self.out / SELECTOR).exists():
+            read_selector(self.out)
         rows = [Evaluation(*row) for row in read_list(path, metadata, "evaluations")]
         for row in rows:
             whole("timesteps", row.timesteps, 0)

@@ -31,10 +31,9 @@ from agents.learners import kind as kind_of
 from agents.network import VERSION as NETWORK_VERSION
 from amusic_gym.observation import VERSION as OBSERVATION_VERSION
 from amusic_gym.settings import STATISTICS
-from amusic_gym.storage import parse_json, read_regular, write_whole
+from amusic_gym.storage import parse_json, read_json, write_whole
 
 FORMAT_VERSION = 1
-_MOST_CONFIG = 2**20  # bytes
 CONFIG = "config.json"
 SELECTOR = "selector.safetensors"
 CHECKPOINT = "checkpoint.safetensors"
@@ -75,7 +74,7 @@ def read_config(run: Path) -> dict[str, Any]:
     path = run / CONFIG
     if not path.is_file():
         raise FileNotFoundError(f"{run} is no run folder: {CONFIG} is missing; train one first")
-    config = parse_json(read_regular(path, _MOST_CONFIG), path, "train the selector again")
+    config: dict[str, Any] = read_json(path, "train the selector again")
     try:
         stored = dict(config["versions"])
         environment = dict(config["environment"])

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 _PREFIX = ".amusic-"
 _UNFINISHED = f"{_PREFIX}*.tmp*"
 _WRITTEN = f"{_PREFIX}written.json"
-_MOST_WRITTEN = 2**24  # bytes
+_MOST_JSON = 2**28  # bytes
 _PATIENCE = 2.0
 """Seconds to wait for a lock without a word."""
 
@@ -183,6 +183,11 @@ def parse_json(content: bytes, path: Path, mend: str, kind: type = dict) -> Any:
     if not isinstance(parsed, kind):
         raise ValueError(f"{path} holds no JSON {'list' if kind is list else 'object'}; {mend}")
     return parsed
+
+
+def read_json(path: Path, mend: str, kind: type = dict) -> Any:
+    """What a JSON file of at most `_MOST_JSON` bytes holds; see `read_regular`, `parse_json`."""
+    return parse_json(read_regular(path, _MOST_JSON), path, mend, kind)
 
 
 def sha256(file: BufferedReader) -> str:
@@ -355,7 +360,7 @@ def keep_only(folder: Path, kind: str, files: Iterable[str | Path]) -> None:
     path = folder / _WRITTEN
     written: dict[str, Any] = {}
     with contextlib.suppress(FileNotFoundError, ValueError):  # a damaged one is begun anew
-        written = parse_json(read_regular(path, _MOST_WRITTEN), path, "delete it")
+        written = read_json(path, "delete it")
     names = [Path(file).relative_to(folder).as_posix() for file in files]
     before = written.get(kind)
     for name in before if isinstance(before, list) else []:
@@ -403,9 +408,12 @@ def unfinished(
 def only_writer(folder: Path) -> Iterator[None]:
     """Hold ``folder``, which is made, for this process alone among those that ask so.
 
+    What was made is gone at the end if nothing was written to it.
+
     Raises:
         ValueError: when another process holds it.
     """
+    made = [each for each in (folder, *folder.parents) if not each.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     with contextlib.ExitStack() as alone:
         try:
@@ -414,7 +422,12 @@ def only_writer(folder: Path) -> Iterator[None]:
             raise ValueError(
                 f"{folder} is in use by another process; wait for its end or give another folder"
             ) from None
-        yield
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):  # not empty
+                for each in made:
+                    each.rmdir()
 
 
 @contextlib.contextmanager

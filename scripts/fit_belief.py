@@ -19,7 +19,7 @@ from amusic_gym import __version__
 from amusic_gym.belief.fitting import PLAIN, Drive, activity, from_unit, score, to_unit
 from amusic_gym.belief.rates import FILE, Rates, fitted
 from amusic_gym.routes.simulate import POPULATION
-from amusic_gym.storage import write_whole
+from amusic_gym.storage import read_json, write_whole
 
 HELD_OUT_SEED = 1
 STEP = 0.12  # of the search at first, in parts of a rate's limits
@@ -63,7 +63,7 @@ def search(
 
 def _stored(file: Path) -> Rates:
     try:
-        return Rates(**json.loads(file.read_text("utf-8"))["rates"])
+        return Rates(**read_json(file, "give one that this wrote")["rates"])
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{file} holds no rates ({error}); give one that this wrote") from error
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import amusic_gym
-from amusic_gym.comparison_files import file_digest
+from amusic_gym.comparison_files import file_digest, read_checked
 from amusic_gym.extraction.code import key_of
 from amusic_gym.storage import write_whole
-from amusic_gym.study.cells import Measures
+from amusic_gym.study.cells import MEASURED, Measures
 
 FORMAT_VERSION = 3
 
@@ -56,13 +56,11 @@ def load(folder: Path, stem: str) -> Measures | None:
         ValueError: when the file is damaged.
     """
     path = folder / f"{stem}.json"
-    if not path.exists():
+    body = read_checked(path, lambda body: key_of(**body))
+    if body is None:
         return None
-    try:
-        body = json.loads(path.read_bytes())
-        if body.pop("checksum") != key_of(**body) or body["cell"] != stem:
-            raise ValueError("its checksum differs")
-        measures: Measures = body["measures"]
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ValueError(f"{path} is damaged ({error}); delete it") from None
+    measures: Measures = body.get("measures") or {}
+    numbers = (isinstance(value, int | float | None) for value in dict(measures).values())
+    if body.get("cell") != stem or set(measures) != set(MEASURED) or not all(numbers):
+        raise ValueError(f"{path} holds other numbers than a cell's; delete it")
     return measures

@@ -190,7 +190,7 @@ def _refuse_others(folder: Path, settings: Settings) -> None:
             f"{folder} holds other files ({min(found)}) and no {SETTINGS}; choose another folder"
         )
     try:
-        before = Settings(**json.loads((folder / SETTINGS).read_text("utf-8")))
+        before = Settings(**storage.read_json(folder / SETTINGS, "render it again"))
         earlier = whole("places", before.places, 1)
     except (ValueError, TypeError):
         raise ValueError(
