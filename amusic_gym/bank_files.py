@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym import storage
-from amusic_gym.checks import number
-from amusic_gym.ground_truth import GroundTruth, check_tolerance, whole_number
+from amusic_gym.checks import number, whole
+from amusic_gym.ground_truth import GroundTruth, check_tolerance
 
 FORMAT_VERSION = 1
 MANIFEST, SCORES, TRUTH = "bank.json", "scores.npy", "ground_truth.npz"
@@ -88,7 +88,7 @@ def write(
         OSError: when writing fails; what was at ``path`` is still there then.
     """
     path = Path(os.path.realpath(path))
-    refuse_within_bank(path.parent)
+    check_destination(path)
     with storage.replacing_folder(path, MANIFEST, FILES) as folder:
         _write_scores(folder / SCORES, scores, (len(techniques), truth.queries, truth.references))
         np.savez(
@@ -137,8 +137,8 @@ def check_destination(path: Path) -> None:
         OSError: when its folder cannot be made.
     """
     path = Path(os.path.realpath(path))
-    refuse_within_bank(path.parent)
     storage.refuse_to_replace_others(path, MANIFEST, FILES)
+    refuse_within_bank(path.parent)
     path.parent.mkdir(parents=True, exist_ok=True)
 
 
@@ -179,9 +179,7 @@ def _read_once(folder: storage.FolderReader, verify: bool) -> BankFiles:
             (each["name"], number("seconds", each["seconds"], "a number above 0"))
             for each in manifest["techniques"]
         ]
-        queries, references = (
-            whole_number(manifest[key], key, at_least=1) for key in ("queries", "references")
-        )
+        queries, references = (whole(key, manifest[key], 1) for key in ("queries", "references"))
         tolerance = check_tolerance(manifest["tolerance"])
         name, source, costs, fingerprint = (
             str(manifest[key]) for key in ("name", "source", "costs", "sha256")

@@ -146,17 +146,15 @@ def compare(
         raise ValueError("no policy to compare; give at least one")
     out = Path(out)
     refuse_within_bank(out)
+    files = [out / TRACES / f"{stem}.csv" for stem in distinct([_stem(e) for e in entries])]
     traces, rows = [], []
-    for number, entry in enumerate(entries, 1):
+    for number, (entry, file) in enumerate(zip(entries, files, strict=True), 1):
         trace, row, kept = _finish(entry, out / ROWS, report)
+        trace.write_csv(file)
         traces.append(trace)
         rows.append(row)
         report(f"[{number}/{len(entries)}] {_line(row)}{' (was finished)' if kept else ''}")
     mean = metrics.mean_rows(_shared(rows))
-    stems = distinct([_stem(entry) for entry in entries])
-    files = [out / TRACES / f"{stem}.csv" for stem in stems]
-    for trace, file in zip(traces, files, strict=True):
-        trace.write_csv(file)
     comparison_files.save_results(out / RESULTS, rows, mean)
     keep_only(out, "traces", files)
     made = [entry.contestant for entry in entries]

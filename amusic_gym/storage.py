@@ -179,9 +179,10 @@ def parse_json(content: bytes, path: Path, mend: str, kind: type = dict) -> Any:
         json.dumps(parsed)  # what can be read may still be too deep to be written
     except (ValueError, RecursionError):
         what = "is not whole JSON of finite numbers" if content.strip() else "is empty"
-        raise ValueError(f"{path} {what}; {mend}") from None
+        raise ValueError(f"{path} is damaged (it {what}); {mend}") from None
     if not isinstance(parsed, kind):
-        raise ValueError(f"{path} holds no JSON {'list' if kind is list else 'object'}; {mend}")
+        wanted = "list" if kind is list else "object"
+        raise ValueError(f"{path} is damaged (it holds no JSON {wanted}); {mend}")
     return parsed
 
 

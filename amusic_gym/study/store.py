@@ -62,5 +62,5 @@ def load(folder: Path, stem: str) -> Measures | None:
     measures: Measures = body.get("measures") or {}
     numbers = (isinstance(value, int | float | None) for value in dict(measures).values())
     if body.get("cell") != stem or set(measures) != set(MEASURED) or not all(numbers):
-        raise ValueError(f"{path} holds other numbers than a cell's; delete it")
+        raise ValueError(f"{path} is damaged (it holds other numbers than a cell's); delete it")
     return measures
