@@ -228,13 +228,15 @@ def resolve_ground_truth(
     return ground_truth, ground_truth.half_span() if tolerance is None else tolerance
 
 
-def check_tolerance(value: object) -> int:
+def check_tolerance(value: Any) -> int:
     """A tolerance in places as int.
 
     Raises:
         ValueError: for anything but a whole number from 0 to ``LARGEST_TOLERANCE``.
     """
-    return whole("tolerance", value, 0, most=LARGEST_TOLERANCE)
+    if whole("tolerance", value, 0) > LARGEST_TOLERANCE:
+        raise ValueError(f"tolerance is {value}; give at most {LARGEST_TOLERANCE} places")
+    return int(value)
 
 
 def _check_shape(shape: tuple[int, ...], queries: int, references: int) -> None:

@@ -190,7 +190,7 @@ def rewrite(saved: Path, **entries: object) -> None:
     [
         (
             {"tolerance": 2**62},
-            "tolerance is 4611686018427387904; give a whole number from 0 to 2147483647",
+            "tolerance is 4611686018427387904; give at most 2147483647",
         ),
         ({"tolerance": -1}, "tolerance is -1"),
         ({"tolerance": True}, "tolerance is True"),
@@ -231,9 +231,7 @@ def test_23_every_number_of_a_bank_is_bounded_where_it_is_read(saved, entries, s
 )
 def test_23_odd_json_is_refused_in_a_sentence(saved, text):
     (saved / "bank.json").write_bytes(text)
-    with pytest.raises(
-        ValueError, match=r"bank\.json (is not|holds no|names no|was damaged).*; copy"
-    ):
+    with pytest.raises(ValueError, match=r"bank\.json (is damaged|names no|was damaged).*; copy"):
         ScoreBank.load(saved)
 
 
