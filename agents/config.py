@@ -296,7 +296,7 @@ def stored_config(out: Path) -> TrainingConfig:
         values["compute_weights"] = tuple(values["compute_weights"])
         values["simulation"] = {
             name: tuple(value) if isinstance(value, list) else value
-            for name, value in values["simulation"].items()
+            for name, value in dict(values["simulation"]).items()
         }
         return TrainingConfig(**values)
     except (KeyError, TypeError, ValueError) as error:

@@ -226,7 +226,7 @@ class Keeper(BaseCallback):
         try:
             self.records.restore(path, tensors, metadata)
             self._restore(path, policy, tensors, metadata)
-        except (KeyError, TypeError, ValueError, RuntimeError, ArithmeticError) as error:
+        except (LookupError, TypeError, ValueError, RuntimeError, ArithmeticError) as error:
             raise ValueError(f"{path} holds no whole checkpoint ({error}); train again") from error
 
     def _restore(

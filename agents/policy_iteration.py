@@ -36,6 +36,7 @@ from agents.run_folder import CHECKPOINT, check_layers, part, read_tensors, writ
 from agents.selector import load_selector
 from agents.subsets import MOST_SLOTS, SubsetNetwork, SubsetSelector
 from agents.training import bank_folders, begun, training_source
+from amusic_gym.observation import observation_size
 from amusic_gym.policy import Selector
 from amusic_gym.sources import BankLike, RouteSource
 from amusic_gym.task import Task
@@ -168,6 +169,15 @@ class PolicyIteration:
         write_tensors(self.out / CHECKPOINT, tensors, {**metadata, "done": str(self.done)})
         self.records.write()
 
+    def _check(self, samples: Samples) -> None:
+        """Refuse what no collection gave, or one on routes of another number of slots."""
+        observations, subsets, *values = samples
+        states = len(subsets), observation_size(self.source.slots)
+        good = observations.shape == states and {a.shape for a in values} == {subsets.shape}
+        kinds = [array.dtype for array in samples] == [np.float32, np.int64, np.float32, np.float32]
+        if not (good and kinds and ((subsets >= 0) & (subsets < 1 << self.source.slots)).all()):
+            raise ValueError("states of another size or kind")
+
     def restore(self) -> None:
         """Go back to the end of the last whole iteration; before the first, to the beginning.
 
@@ -190,10 +200,10 @@ class PolicyIteration:
                 Samples(*(tensors[f"seen.{i}.{name}"].numpy() for name in Samples._fields))
                 for i in range(kept)
             ]
-            if any(len({len(array) for array in samples}) > 1 for samples in self.seen):
-                raise ValueError("states of different number")
+            for samples in self.seen:
+                self._check(samples)
             self.records.restore(path, tensors, metadata)
-        except (KeyError, TypeError, ValueError) as error:
+        except (LookupError, TypeError, ValueError, ArithmeticError) as error:
             raise ValueError(f"{path} holds no whole checkpoint ({error}); train again") from error
 
 

@@ -163,10 +163,9 @@ def read_selector(run: Path) -> tuple[Kind, nn.Module]:
     try:
         about = parse_json(metadata["network"].encode(), path, "train again")
         kind = kind_of(about.pop("kind", FIRST_KIND))
-        sizes = kind.sizes(**about)
-    except (KeyError, TypeError, ValueError) as error:
+        network = kind.network(kind.sizes(**about))
+    except (KeyError, TypeError, ValueError, RuntimeError, ArithmeticError) as error:
         raise ValueError(f"{path} holds no selector ({error}); train again") from error
-    network = kind.network(sizes)
     check_layers(path, tensors, network.state_dict())
     network.load_state_dict(tensors)
     return kind, network.eval()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import re
 import select
@@ -119,9 +120,12 @@ def run(main: Callable[[], int | None]) -> NoReturn:
 
     Exit status: what ``main`` returns, or 0; 2 for bad arguments or input, one line on stderr;
     130 on Ctrl-C; 141, and not a word, when who reads stdout has gone (``| head``). Warnings are
-    one line on stderr too.
+    one line on stderr too. What a terminal cannot show is printed as ``?``.
     """
     warnings.formatwarning = _one_line
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     status: Any = 2
     failure: Exception | None = None
     try:

@@ -59,8 +59,9 @@ def load(folder: Path, stem: str) -> Measures | None:
     body = read_checked(path, lambda body: key_of(**body))
     if body is None:
         return None
-    measures: Measures = body.get("measures") or {}
-    numbers = (isinstance(value, int | float | None) for value in dict(measures).values())
-    if body.get("cell") != stem or set(measures) != set(MEASURED) or not all(numbers):
+    measures = body.get("measures")
+    numbers: Measures = measures if isinstance(measures, dict) else {}
+    plain = all(isinstance(value, int | float | None) for value in numbers.values())
+    if body.get("cell") != stem or set(numbers) != set(MEASURED) or not plain:
         raise ValueError(f"{path} is damaged (it holds other numbers than a cell's); delete it")
-    return measures
+    return numbers

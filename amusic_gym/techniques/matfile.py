@@ -94,14 +94,14 @@ class _Reader:
         at = 0
         while at < len(data):
             first, size = self.numbers("u4", data[at : at + 8]).tolist()
-            begin = at + 8
             if first >> 16:  # a small one: type and size in four bytes, and up to four more
-                first, size, begin = first & 0xFFFF, first >> 16, at + 4
+                first, size = first & 0xFFFF, first >> 16
+                content = data[at + 4 : at + 8][:size]
                 at += 8
             else:
-                at = begin + size + (-size % 8 if first != COMPRESSED else 0)
-            content = data[begin : begin + size]
-            if len(content) != size or (begin % 8 and size > 4):
+                content = data[at + 8 : at + 8 + size]
+                at += 8 + size + (0 if first == COMPRESSED else -size % 8)
+            if len(content) != size:
                 raise ValueError("an element is cut off")
             yield first, content
 
