@@ -71,8 +71,11 @@ def _finished(out: Path, timesteps: int) -> bool:
     from agents.run_folder import EVALUATIONS
 
     file = out / EVALUATIONS
-    rows = file.read_text("utf-8").split() if file.is_file() else []
-    return len(rows) > 1 and int(rows[-1].split(",")[0]) >= timesteps
+    rows = file.read_text("utf-8", "replace").split() if file.is_file() else []
+    done = rows[-1].split(",")[0] if len(rows) > 1 else "0"
+    if not done.isdecimal():
+        raise ValueError(f"{file} is damaged; delete {out} to train again")
+    return int(done) >= timesteps
 
 
 def is_same(out: Path, folder: Path) -> bool:
