@@ -12,6 +12,7 @@ from agents.learners import ALGORITHMS
 from agents.network import NetworkConfig
 from agents.run_folder import CONFIG, read_config, versions
 from amusic_gym import __version__
+from amusic_gym.checks import flag, number, share, whole
 from amusic_gym.names import suggest
 from amusic_gym.rewards import REWARDS
 from amusic_gym.routes.simulate import Simulation, population
@@ -21,11 +22,13 @@ HIGHEST_SEED = 1_000_000_000
 """Seeds beyond would draw the held-out routes for training."""
 
 _LEAST = {
-    **dict.fromkeys(("timesteps", "n_envs", "threads", "pool", "n_steps", "epochs"), 1),
-    **dict.fromkeys(("evaluate_every", "held_out"), 1),
     "batch_size": 2,  # PPO normalises the advantages of a batch
+    "subsets": 4,
     "frozen_updates": 0,
 }
+"""Of whole numbers, where it is not 1."""
+
+_SHARES = ("teacher_share", "share", "discount", "reward_discount", "gae_lambda")
 
 MOST_ROUTES = 65_536
 """Routes side by side; more would take memory by the hundred gigabytes."""
@@ -67,10 +70,7 @@ class ImitationConfig:
 
     def __post_init__(self) -> None:
         """Refuse what nothing can be learned from."""
-        for name in ("rounds", "frames", "epochs", "batch_size"):
-            _whole(name, getattr(self, name), 1)
-        if not 0.0 <= self.teacher_share <= 1.0:
-            raise ValueError(f"teacher_share is {self.teacher_share!r}; give a number in [0, 1]")
+        _check_numbers(self)
 
 
 @dataclass(frozen=True)
@@ -110,21 +110,7 @@ class RolloutConfig:
 
     def __post_init__(self) -> None:
         """Refuse what nothing can be learned from."""
-        for name in (
-            "iterations",
-            "states",
-            "kept",
-            "hold",
-            "horizon",
-            "every",
-            "epochs",
-        ):
-            _whole(name, getattr(self, name), 1)
-        _whole("batch_size", self.batch_size, 2)
-        _whole("subsets", self.subsets, 4)
-        for name in ("share", "discount"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} is {getattr(self, name)!r}; give a number in [0, 1]")
+        _check_numbers(self)
 
 
 @dataclass(frozen=True)
@@ -200,12 +186,10 @@ class TrainingConfig:
             raise ValueError(suggest("algorithm", self.algorithm, ALGORITHMS))
         if self.reward not in REWARDS:
             raise ValueError(suggest("reward", self.reward, REWARDS))
-        for name, least in _LEAST.items():
-            _whole(name, getattr(self, name), least)
+        _check_numbers(self)
         if self.n_envs > MOST_ROUTES:
             raise ValueError(f"n_envs is {self.n_envs}; give at most {MOST_ROUTES}")
-        if not isinstance(self.seed, int) or not 0 <= self.seed <= HIGHEST_SEED:
-            raise ValueError(f"seed is {self.seed!r}; give a whole number from 0 to {HIGHEST_SEED}")
+        whole("seed", self.seed, 0, most=HIGHEST_SEED)
         if self.rollout < 2:
             raise ValueError("n_steps * n_envs is 1; raise one of them: an update needs 2 frames")
         if self.allow_idle and self.algorithm != "rollouts":
@@ -251,9 +235,19 @@ class TrainingConfig:
         return next(even, largest)
 
 
-def _whole(name: str, value: Any, least: int) -> None:
-    if not isinstance(value, int) or value < least:
-        raise ValueError(f"{name} is {value!r}; give a whole number >= {least}")
+def _check_numbers(config: ImitationConfig | RolloutConfig | TrainingConfig) -> None:
+    """Refuse numbers out of range, by the kind of their defaults."""
+    for each in fields(config):
+        name, value = each.name, getattr(config, each.name)
+        if type(each.default) is bool:
+            flag(name, value)
+        elif type(each.default) is int and name != "seed":
+            whole(name, value, _LEAST.get(name, 1))
+        elif type(each.default) is float:
+            if name in _SHARES:
+                share(name, value)
+            elif number(name, value, "a number >= 0") < 0.0:
+                raise ValueError(f"{name} is {value!r}; give a number >= 0")
 
 
 def training_config(algorithm: str, **given: Any) -> TrainingConfig:
@@ -302,7 +296,7 @@ def stored_config(out: Path) -> TrainingConfig:
         values["compute_weights"] = tuple(values["compute_weights"])
         values["simulation"] = {
             name: tuple(value) if isinstance(value, list) else value
-            for name, value in values["simulation"].items()
+            for name, value in dict(values["simulation"]).items()
         }
         return TrainingConfig(**values)
     except (KeyError, TypeError, ValueError) as error:

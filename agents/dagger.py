@@ -18,13 +18,13 @@ from agents.evaluation import Evaluation, HeldOut
 from agents.keeper import Records
 from agents.learners.common import make_env
 from agents.network import SelectorNetwork, presence
-from agents.run_folder import CHECKPOINT, check_layers, read_tensors, write_tensors
+from agents.run_folder import BEST, CHECKPOINT, check_layers, read_list, read_tensors, write_tensors
 from agents.selector import TrainedSelector
 from amusic_gym.escaping import CsvWriter
 from amusic_gym.observation import observation_size
 from amusic_gym.policy import Selector
 from amusic_gym.sources import RouteSource
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import write_whole
 
 SEEN = "seen"
 """Folder of what was seen in each round; it goes when the last one is done."""
@@ -162,23 +162,27 @@ class DAgger:
     # ---- on disk ---------------------------------------------------------------------------
 
     def _keep(self, result: Evaluation) -> None:
-        """Write all that the next round needs; the checkpoint last, for it says what is whole."""
+        """Write all that the next round needs; what was seen first, and then the checkpoint."""
         number = len(self.rounds) - 1
         if len(self.rounds) < self.settings.rounds:
             rows = self._rows(number)
             seen = {"observations": self.observations[rows], "labels": self.labels[rows]}
             write_tensors(self._seen_file(number), seen, {})
         self.records.add(result, self.network)
+        tensors, metadata = self.records.checkpoint()
+        tensors |= self.network.state_dict()
+        metadata |= {"rounds": json.dumps(self.rounds)}
+        write_tensors(self.out / CHECKPOINT, tensors, metadata)
+        self.write()
+
+    def write(self) -> None:
+        """Write the records, and the table of the rounds."""
+        self.records.write()
         table = io.StringIO()
         writer = CsvWriter(table)
         writer.writerow(("round", *Round._fields))
         writer.writerows((i, *values) for i, values in enumerate(self.rounds))
         write_whole(self.out / TABLE, table.getvalue().encode())
-        metadata = {
-            "rounds": json.dumps(self.rounds),
-            "evaluations": json.dumps(self.records.evaluations),
-        }
-        write_tensors(self.out / CHECKPOINT, dict(self.network.state_dict()), metadata)
 
     def _seen_file(self, number: int) -> Path:
         return self.out / SEEN / f"{number}.safetensors"
@@ -194,17 +198,18 @@ class DAgger:
         if not path.exists():  # stopped within the first round
             return
         tensors, metadata = read_tensors(path)
-        check_layers(path, tensors, self.network.state_dict())
+        weights = {name: tensor for name, tensor in tensors.items() if not name.startswith(BEST)}
+        check_layers(path, weights, self.network.state_dict())
         try:
-            rounds = [Round(*row) for row in json.loads(metadata["rounds"])]
-            evaluations = [Evaluation(*row) for row in json.loads(metadata["evaluations"])]
+            rounds = [Round(*row) for row in read_list(path, metadata, "rounds")]
+            self.records.restore(path, tensors, metadata)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} holds no whole checkpoint ({error}); train again") from error
         if len(rounds) < self.settings.rounds:
             for number in range(len(rounds)):
                 self._read_seen(number)
-        self.network.load_state_dict(tensors)
-        self.rounds, self.records.evaluations = rounds, evaluations
+        self.network.load_state_dict(weights)
+        self.rounds = rounds
 
     def _read_seen(self, number: int) -> None:
         path, rows = self._seen_file(number), self._rows(number)

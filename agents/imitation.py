@@ -55,15 +55,15 @@ def imitate(
             another environment.
     """
     out = Path(out)
-    config, banks = begun(out, config, banks, source, resume)
-    _check_teacher(teacher, config)
-    dagger = DAgger(out, config, teacher, source or training_source(config, banks))
-    dagger.records.banks = bank_folders(source, banks)
-    if resume:
-        dagger.restore()
-    dagger.records.write()
-    dagger.run(progress)
-    return load_selector(out)
+    with begun(out, config, banks, source, resume) as (config, banks):
+        _check_teacher(teacher, config)
+        dagger = DAgger(out, config, teacher, source or training_source(config, banks))
+        dagger.records.banks = bank_folders(source, banks)
+        if resume:
+            dagger.restore()
+        dagger.write()
+        dagger.run(progress)
+        return load_selector(out)
 
 
 def imitate_then_train(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Sequence
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -18,22 +19,31 @@ from agents.evaluation import Evaluation, HeldOut
 from agents.learners import kind as kind_of
 from agents.learners import learner
 from agents.run_folder import (
+    BEST,
     CHECKPOINT,
     EVALUATIONS,
+    SELECTOR,
     Tensors,
     check_layers,
+    part,
+    read_list,
+    read_selector,
     read_tensors,
     write_config,
     write_selector,
     write_tensors,
 )
+from amusic_gym.checks import number, whole
 from amusic_gym.escaping import CsvWriter
 from amusic_gym.policy import Selector
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import write_whole
 
 
 class Records:
     """A run folder's configuration, evaluations and best selector.
+
+    The checkpoint holds the evaluations and the best selector too, and is written first: when a
+    training that was killed between two files is resumed, all of them are again of one moment.
 
     Args:
         out: the run folder.
@@ -52,6 +62,8 @@ class Records:
         self.kind = kind
         self.sizes = sizes
         self.evaluations: list[Evaluation] = []
+        self.network: nn.Module | None = None  # the best
+        self._stored: Evaluation | None = None  # of the selector on disk
 
     @property
     def best(self) -> Evaluation | None:
@@ -65,18 +77,45 @@ class Records:
         )
 
     def add(self, result: Evaluation, network: nn.Module) -> None:
-        """Note an evaluation; keep the network if it is the best."""
+        """Note an evaluation, and a copy of the network if it is the best."""
         if self.best is None or result.score > self.best.score:
-            self.keep(network)
+            self.network = deepcopy(network)
         self.evaluations.append(result)
-        self.write()
 
-    def keep(self, network: nn.Module) -> None:
-        """Store a network as the run's selector."""
-        write_selector(self.out, network, self.sizes, self.kind)
+    def checkpoint(self) -> tuple[Tensors, dict[str, str]]:
+        """Tensors and metadata of a checkpoint that :meth:`restore` needs."""
+        weights = {} if self.network is None else self.network.state_dict()
+        tensors = {f"{BEST}{name}": tensor for name, tensor in weights.items()}
+        return tensors, {"evaluations": json.dumps(self.evaluations)}
+
+    def restore(self, path: Path, tensors: Tensors, metadata: dict[str, str]) -> None:
+        """Take from a checkpoint what :meth:`checkpoint` gave it.
+
+        Raises:
+            KeyError, TypeError, ValueError: for a damaged one, or a damaged selector.
+        """
+        if (self.out / SELECTOR).exists():
+            read_selector(self.out)
+        rows = [Evaluation(*row) for row in read_list(path, metadata, "evaluations")]
+        for row in rows:
+            whole("timesteps", row.timesteps, 0)
+            for name, value in row._asdict().items():
+                number(name, value, "a number")
+        self.evaluations = rows
+        weights = part(tensors, BEST)
+        if weights:
+            self.network = kind_of(self.kind).network(self.sizes)
+            check_layers(path, weights, self.network.state_dict())
+            self.network.load_state_dict(weights)
+        else:  # of a version that kept them in the selector alone
+            self._stored = self.best
 
     def write(self) -> None:
-        """Write ``config.json`` and ``evaluation.csv``."""
+        """Write the selector, ``config.json`` and ``evaluation.csv``, after the checkpoint."""
+        if self.network is not None and self.best is not self._stored:
+            write_config(self.out, stored(self.config, self.banks, None))  # names no wrong score
+            write_selector(self.out, self.network, self.sizes, self.kind)
+            self._stored = self.best
         write_config(self.out, stored(self.config, self.banks, self.best))
         table = io.StringIO()
         writer = CsvWriter(table)
@@ -148,26 +187,28 @@ class Keeper(BaseCallback):
         self.records.add(result, self.network)
         self._next = steps + self.config.evaluate_every
         self.checkpoint()
+        self.records.write()
 
     def save(self) -> None:
         """Keep what there is: a checkpoint, and a selector where none was evaluated yet."""
-        if not self.records.evaluations:
-            self.records.keep(self.network)
         self.checkpoint()
+        self.records.write()
+        if not self.records.evaluations:
+            write_selector(self.out, self.network, self.records.sizes, self.records.kind)
 
     def checkpoint(self) -> None:
         """Write everything that resuming needs, as one file."""
         model = self.model
-        tensors: Tensors = {f"policy.{k}": v for k, v in model.policy.state_dict().items()}
+        tensors, metadata = self.records.checkpoint()
+        tensors |= {f"policy.{k}": v for k, v in model.policy.state_dict().items()}
         optimiser = model.policy.optimizer.state_dict()["state"]
         for index, values in optimiser.items():
             tensors |= {f"optimiser.{index}.{k}": torch.as_tensor(v) for k, v in values.items()}
         tensors["random.torch"] = torch.get_rng_state()
-        metadata = {
+        metadata |= {
             "timesteps": str(model.num_timesteps),
             "updates": str(model._n_updates),
             "numpy": json.dumps(_numpy_state()),
-            "evaluations": json.dumps(self.records.evaluations),
         }
         write_tensors(self.out / CHECKPOINT, tensors, metadata)
 
@@ -180,26 +221,28 @@ class Keeper(BaseCallback):
         """
         path = self.out / CHECKPOINT
         tensors, metadata = read_tensors(path)
-        policy = _part(tensors, "policy.")
+        policy = part(tensors, "policy.")
         check_layers(path, policy, self.model.policy.state_dict())
         try:
-            self._restore(policy, tensors, metadata)
-        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            self.records.restore(path, tensors, metadata)
+            self._restore(path, policy, tensors, metadata)
+        except (LookupError, TypeError, ValueError, RuntimeError, ArithmeticError) as error:
             raise ValueError(f"{path} holds no whole checkpoint ({error}); train again") from error
 
-    def _restore(self, policy: Tensors, tensors: Tensors, metadata: dict[str, str]) -> None:
+    def _restore(
+        self, path: Path, policy: Tensors, tensors: Tensors, metadata: dict[str, str]
+    ) -> None:
         model = self.model
         model.policy.load_state_dict(policy)
-        self._restore_optimiser(_part(tensors, "optimiser."))
+        self._restore_optimiser(part(tensors, "optimiser."))
         model.num_timesteps = int(metadata["timesteps"])
         model._n_updates = int(metadata["updates"])
-        self.records.evaluations = [Evaluation(*row) for row in json.loads(metadata["evaluations"])]
         self._next = model.num_timesteps + self.config.evaluate_every
         assert model.env is not None
         # Other routes than those already driven, but the same after every resume from here.
         model.env.seed(self.config.seed + model.num_timesteps)
         torch.set_rng_state(tensors["random.torch"])
-        name, keys, *rest = json.loads(metadata["numpy"])
+        name, keys, *rest = read_list(path, metadata, "numpy")
         np.random.set_state((name, np.array(keys, np.uint32), *rest))
 
     def _restore_optimiser(self, tensors: Tensors) -> None:
@@ -212,10 +255,6 @@ class Keeper(BaseCallback):
                 raise ValueError(f"shape {tuple(tensor.shape)} of the optimiser's {name!r}")
             state.setdefault(int(index), {})[key] = tensor
         optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
-
-
-def _part(tensors: Tensors, prefix: str) -> Tensors:
-    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
 
 
 def _numpy_state() -> list[Any]:

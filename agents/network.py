@@ -18,6 +18,7 @@ import torch
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import nn
 
+from amusic_gym.checks import number, whole
 from amusic_gym.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
 
 VERSION = 1
@@ -60,11 +61,8 @@ class NetworkConfig:
     def __post_init__(self) -> None:
         """Refuse sizes that no network has."""
         for name in ("hidden", "encoding"):
-            size = getattr(self, name)
-            if not isinstance(size, int) or not 1 <= size <= WIDEST:
-                raise ValueError(f"{name} is {size!r}; give a whole number from 1 to {WIDEST}")
-        if not isinstance(self.first_logit, float | int):
-            raise ValueError(f"first_logit is {self.first_logit!r}; give a number")
+            whole(name, getattr(self, name), 1, most=WIDEST)
+        number("first_logit", self.first_logit, "a number")
 
 
 class SelectorNetwork(nn.Module):
@@ -148,8 +146,7 @@ class SetSizes:
     def __post_init__(self) -> None:
         """Refuse sizes that no network has."""
         for name, size in vars(self).items():
-            if not isinstance(size, int) or not 1 <= size <= WIDEST:
-                raise ValueError(f"{name} is {size!r}; give a whole number from 1 to {WIDEST}")
+            whole(name, size, 1, most=WIDEST)
 
 
 class SetEncoder(nn.Module):

@@ -13,7 +13,6 @@ beside those that mislead does not, so that every small step towards it costs mo
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 import signal
 from collections.abc import Sequence
@@ -29,13 +28,14 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from agents.config import RolloutConfig, TrainingConfig
-from agents.evaluation import Evaluation, HeldOut
+from agents.evaluation import HeldOut
 from agents.keeper import Records
 from agents.learners.common import make_env
-from agents.run_folder import CHECKPOINT, check_layers, read_tensors, write_tensors
+from agents.run_folder import CHECKPOINT, check_layers, part, read_tensors, write_tensors
 from agents.selector import load_selector
 from agents.subsets import MOST_SLOTS, SubsetNetwork, SubsetSelector, SubsetSizes
 from agents.training import bank_folders, begun, training_source
+from amusic_gym.observation import observation_size
 from amusic_gym.policy import Selector
 from amusic_gym.sources import BankLike, RouteSource
 from amusic_gym.task import Task
@@ -95,14 +95,14 @@ def iterate_policy(
         ValueError: if the folder holds another training or is damaged, or a route is live.
     """
     out = Path(out)
-    config, banks = begun(out, config, banks, source, resume)
-    iteration = PolicyIteration(out, config, source or training_source(config, banks))
-    iteration.records.banks = bank_folders(source, banks)
-    if resume:
-        iteration.restore()
-    iteration.records.write()
-    iteration.run(progress)
-    return load_selector(out)
+    with begun(out, config, banks, source, resume) as (config, banks):
+        iteration = PolicyIteration(out, config, source or training_source(config, banks))
+        iteration.records.banks = bank_folders(source, banks)
+        if resume:
+            iteration.restore()
+        iteration.records.write()
+        iteration.run(progress)
+        return load_selector(out)
 
 
 class PolicyIteration:
@@ -160,15 +160,22 @@ class PolicyIteration:
     # ---- on disk ---------------------------------------------------------------------------
 
     def _save(self, network: SubsetNetwork) -> None:
-        tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
+        tensors, metadata = self.records.checkpoint()
+        tensors |= {f"network.{name}": value for name, value in network.state_dict().items()}
         for i, samples in enumerate(self.seen):
             for name, array in samples._asdict().items():
                 tensors[f"seen.{i}.{name}"] = torch.from_numpy(array)
-        metadata = {
-            "done": str(self.done),
-            "evaluations": json.dumps(self.records.evaluations),
-        }
-        write_tensors(self.out / CHECKPOINT, tensors, metadata)
+        write_tensors(self.out / CHECKPOINT, tensors, {**metadata, "done": str(self.done)})
+        self.records.write()
+
+    def _check(self, samples: Samples) -> None:
+        """Refuse what no collection gave, or one on routes of another number of slots."""
+        observations, subsets, *values = samples
+        states = len(subsets), observation_size(self.source.slots)
+        good = observations.shape == states and {a.shape for a in values} == {subsets.shape}
+        kinds = [array.dtype for array in samples] == [np.float32, np.int64, np.float32, np.float32]
+        if not (good and kinds and ((subsets >= 0) & (subsets < 1 << self.source.slots)).all()):
+            raise ValueError("states of another size or kind")
 
     def restore(self) -> None:
         """Go back to the end of the last whole iteration; before the first, to the beginning.
@@ -181,8 +188,7 @@ class PolicyIteration:
             return
         tensors, metadata = read_tensors(path)
         network = SubsetNetwork(SubsetSizes())
-        prefix = "network."
-        weights = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+        weights = part(tensors, "network.")
         check_layers(path, weights, network.state_dict())
         network.load_state_dict(weights)
         self.policy = SubsetSelector(network, self.config.statistic, self.config.environment())
@@ -193,11 +199,10 @@ class PolicyIteration:
                 Samples(*(tensors[f"seen.{i}.{name}"].numpy() for name in Samples._fields))
                 for i in range(kept)
             ]
-            if any(len({len(array) for array in samples}) > 1 for samples in self.seen):
-                raise ValueError("states of different number")
-            rows = json.loads(metadata["evaluations"])
-            self.records.evaluations = [Evaluation(*row) for row in rows]
-        except (KeyError, TypeError, ValueError) as error:
+            for samples in self.seen:
+                self._check(samples)
+            self.records.restore(path, tensors, metadata)
+        except (LookupError, TypeError, ValueError, ArithmeticError) as error:
             raise ValueError(f"{path} holds no whole checkpoint ({error}); train again") from error
 
 

@@ -4,7 +4,8 @@ Layout of a run folder::
 
     config.json             arguments of the training, banks, versions, best evaluation
     selector.safetensors    the best selector so far
-    checkpoint.safetensors  weights, optimiser and random state of the last checkpoint
+    checkpoint.safetensors  weights, optimiser and random state of the last checkpoint, and the
+                            best weights
     evaluation.csv          timesteps, score, accuracy, compute at every evaluation
     progress.csv, events.*  Stable-Baselines3's log and TensorBoard's; progress-N.csv after a
                             resume at N timesteps
@@ -30,13 +31,16 @@ from agents.learners import kind as kind_of
 from agents.network import VERSION as NETWORK_VERSION
 from amusic_gym.observation import VERSION as OBSERVATION_VERSION
 from amusic_gym.settings import STATISTICS
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import parse_json, read_json, write_whole
 
 FORMAT_VERSION = 1
 CONFIG = "config.json"
 SELECTOR = "selector.safetensors"
 CHECKPOINT = "checkpoint.safetensors"
 EVALUATIONS = "evaluation.csv"
+BEST = "best."
+"""Prefix of the selector's weights in a checkpoint."""
+
 FIRST_KIND = next(iter(KINDS))
 
 ENVIRONMENT = ("candidates", "history", "gamma", "carry", "discount", "allow_idle")
@@ -70,11 +74,11 @@ def read_config(run: Path) -> dict[str, Any]:
     path = run / CONFIG
     if not path.is_file():
         raise FileNotFoundError(f"{run} is no run folder: {CONFIG} is missing; train one first")
+    config: dict[str, Any] = read_json(path, "train the selector again")
     try:
-        config: dict[str, Any] = json.loads(path.read_text("utf-8"))
         stored = dict(config["versions"])
         environment = dict(config["environment"])
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is damaged ({error}); train the selector again") from error
     if stored.get("statistic") not in STATISTICS:
         raise ValueError(
@@ -118,6 +122,22 @@ def read_tensors(path: Path) -> tuple[Tensors, dict[str, str]]:
         raise ValueError(f"{path} is no whole safetensors file ({error}); train again") from error
 
 
+def read_list(path: Path, metadata: Mapping[str, str], name: str) -> list[Any]:
+    """The list that the metadata ``name`` of a file of tensors holds.
+
+    Raises:
+        KeyError: where there is none.
+        ValueError: where it is no list of plain finite values.
+    """
+    found: list[Any] = parse_json(metadata[name].encode(), path, "train again", list)
+    return found
+
+
+def part(tensors: Tensors, prefix: str) -> Tensors:
+    """The tensors whose names begin with a prefix, without it."""
+    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+
+
 def write_selector(run: Path, network: nn.Module, sizes: Any, kind: str = FIRST_KIND) -> None:
     """Store a network as the run's selector.
 
@@ -141,12 +161,11 @@ def read_selector(run: Path) -> tuple[Kind, nn.Module]:
     path = run / SELECTOR
     tensors, metadata = read_tensors(path)
     try:
-        about = {**json.loads(metadata["network"])}
+        about = parse_json(metadata["network"].encode(), path, "train again")
         kind = kind_of(about.pop("kind", FIRST_KIND))
-        sizes = kind.sizes(**about)
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        network = kind.network(kind.sizes(**about))
+    except (KeyError, TypeError, ValueError, RuntimeError, ArithmeticError) as error:
         raise ValueError(f"{path} holds no selector ({error}); train again") from error
-    network = kind.network(sizes)
     check_layers(path, tensors, network.state_dict())
     network.load_state_dict(tensors)
     return kind, network.eval()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,11 +16,13 @@ from agents.config import TrainingConfig, stored_banks, stored_config
 from agents.evaluation import HeldOut
 from agents.keeper import Keeper
 from agents.learners import learner
-from agents.run_folder import CHECKPOINT, SELECTOR
+from agents.run_folder import CHECKPOINT, SELECTOR, read_config
 from agents.selector import load_selector
 from agents.warm_start import FreezeActor, Start, starting_network, take_over
+from amusic_gym.bank_files import refuse_within_bank
 from amusic_gym.policy import Selector
 from amusic_gym.sources import BankLike, Banks, RouteSource, SimulatedRoutes
+from amusic_gym.storage import only_writer
 
 TRAINING_SEED = 1_000_000
 """First seed of the training routes; held-out routes have another."""
@@ -65,35 +68,35 @@ def train(
     """
     out = Path(out)
     timesteps = config.timesteps
-    config, banks = begun(out, config, banks, source, resume)
-    if resume:
-        config = replace(config, timesteps=timesteps)
-    else:
-        config = replace(config, warm_start=_folder(warm_start))
-    model = make_model(config, source or training_source(config, banks))
-    held_out = HeldOut(config.held_out, config.statistic)
-    keeper = Keeper(out, config, bank_folders(source, banks), held_out)
-    keeper.init_callback(model)
-    if resume:
-        _go_on(keeper)
-    else:
-        if warm_start is not None:
-            take_over(model, starting_network(warm_start, config))
-        keeper.begin()
-    model.set_logger(_logger(out, model.num_timesteps))
-    try:
-        if model.num_timesteps == 0 and (warm_start or config.warm_start):
-            keeper.evaluate()
-        left = config.timesteps - model.num_timesteps
-        if left > 0:
-            _learn(model, left, keeper, progress)
-        keeper.finish()
-    except KeyboardInterrupt:
-        keeper.save()
-        raise
-    finally:
-        model.logger.close()
-    return load_selector(out)
+    with begun(out, config, banks, source, resume) as (config, banks):
+        if resume:
+            config = replace(config, timesteps=timesteps)
+        else:
+            config = replace(config, warm_start=_folder(warm_start))
+        model = make_model(config, source or training_source(config, banks))
+        held_out = HeldOut(config.held_out, config.statistic)
+        keeper = Keeper(out, config, bank_folders(source, banks), held_out)
+        keeper.init_callback(model)
+        if resume:
+            _go_on(keeper)
+        else:
+            if warm_start is not None:
+                take_over(model, starting_network(warm_start, config))
+            keeper.begin()
+        model.set_logger(_logger(out, model.num_timesteps))
+        try:
+            if model.num_timesteps == 0 and (warm_start or config.warm_start):
+                keeper.evaluate()
+            left = config.timesteps - model.num_timesteps
+            if left > 0:
+                _learn(model, left, keeper, progress)
+            keeper.finish()
+        except KeyboardInterrupt:
+            keeper.save()
+            raise
+        finally:
+            model.logger.close()
+        return load_selector(out)
 
 
 def _go_on(keeper: Keeper) -> None:
@@ -121,14 +124,17 @@ def _learn(model: BaseAlgorithm, timesteps: int, keeper: Keeper, progress: bool)
                 bar.pbar.close()
 
 
+@contextmanager
 def begun(
     out: Path,
     config: TrainingConfig,
     banks: Sequence[BankLike],
     source: RouteSource | None,
     resume: bool,
-) -> tuple[TrainingConfig, Sequence[BankLike]]:
+) -> Iterator[tuple[TrainingConfig, Sequence[BankLike]]]:
     """The configuration and banks of a run: those of its folder to resume, else those given.
+
+    No other process trains in the folder meanwhile.
 
     Args:
         out: the run folder; a used one is refused unless it is to be resumed.
@@ -136,19 +142,27 @@ def begun(
         banks: banks given to train on.
         source: routes given instead of banks.
         resume: whether the folder's training goes on.
+
+    Raises:
+        FileNotFoundError: if there is nothing to resume.
+        ValueError: if the folder is in use, in that of a bank, damaged, or holds another training.
     """
-    if not resume:
-        refuse_used(out)
-        return config, banks
-    return stored_config(out), banks if banks or source else stored_banks(out)
+    (read_config if resume else refuse_used)(out)  # before a folder is made
+    with only_writer(out):
+        if resume:
+            yield stored_config(out), banks if banks or source else stored_banks(out)
+        else:
+            refuse_used(out)
+            yield config, banks
 
 
 def refuse_used(out: Path) -> None:
-    """Refuse a folder that holds a training already.
+    """Refuse a folder that holds a training already, or that is in the folder of a bank.
 
     Raises:
-        ValueError: naming the file.
+        ValueError: naming the file, or the bank.
     """
+    refuse_within_bank(out)
     if out.exists() and not out.is_dir():
         raise ValueError(f"{out} is a file; give a folder")
     for name in (CHECKPOINT, SELECTOR):

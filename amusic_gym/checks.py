@@ -7,14 +7,16 @@ import numbers
 from typing import Any
 
 
-def whole(name: str, value: Any, least: int, otherwise: str = "") -> int:
+def whole(name: str, value: Any, least: int, otherwise: str = "", most: int | None = None) -> int:
     """A whole number, Python's or NumPy's; ``otherwise`` says what else may be given.
 
     Raises:
-        ValueError: for anything else, or one below ``least``.
+        ValueError: for anything else, or one below ``least`` or above ``most``.
     """
-    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
-        raise ValueError(f"{name} is {value!r}; give a whole number >= {least}{otherwise}")
+    good = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if not good or value < least or (most is not None and value > most):
+        range_ = f">= {least}" if most is None else f"from {least} to {most}"
+        raise ValueError(f"{name} is {value!r}; give a whole number {range_}{otherwise}")
     return int(value)
 
 
@@ -26,6 +28,17 @@ def number(name: str, value: Any, wanted: str) -> float:
     """
     if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
         raise ValueError(f"{name} is {value!r}; give {wanted}")
+    return float(value)
+
+
+def share(name: str, value: Any) -> float:
+    """A number from 0 to 1.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    if not 0.0 <= number(name, value, "a number in [0, 1]") <= 1.0:
+        raise ValueError(f"{name} is {value!r}; give a number in [0, 1]")
     return float(value)
 
 

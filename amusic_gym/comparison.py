@@ -16,12 +16,14 @@ from typing import Any
 from amusic_gym import __version__, comparison_files, metrics
 from amusic_gym.audit import Audit, audit, parting
 from amusic_gym.bank import ScoreBank
+from amusic_gym.bank_files import refuse_within_bank
 from amusic_gym.checks import whole
 from amusic_gym.marks import footnote, marked
 from amusic_gym.policy import Context, Correction, Policy
 from amusic_gym.report import ReportFigure
 from amusic_gym.rollout import rollout
 from amusic_gym.settings import SICSettings, statistic_label
+from amusic_gym.storage import keep_only
 from amusic_gym.trace import Trace
 
 COMPUTE_WEIGHTS = (0.01, 0.05, 0.15, 0.3, 0.6, 1.0, 2.0, 6.0)
@@ -113,7 +115,8 @@ def compare(
 ) -> Comparison:
     """Run every contestant on every bank; write rows, traces and ``results.json`` to ``out``.
 
-    Rows that are finished in ``out`` already are not run again. Nothing runs before every policy
+    Rows that are finished in ``out`` already are not run again; traces of an earlier comparison
+    that has others than this one go. Nothing runs before every policy
     has been built once, so that a wrong name is refused at once.
 
     Args:
@@ -127,8 +130,8 @@ def compare(
         report: is given one line per finished row.
 
     Raises:
-        ValueError: for no bank, no policy, banks with different cost models, or a policy that does
-            not fit a bank.
+        ValueError: for no bank, no policy, banks with different cost models, a policy that does
+            not fit a bank, or an ``out`` in the folder of a bank.
     """
     check_banks(banks)
     whole("seed", seed, 0)
@@ -141,18 +144,19 @@ def compare(
     ]
     if not entries:
         raise ValueError("no policy to compare; give at least one")
-    stems = distinct([_stem(entry) for entry in entries])
     out = Path(out)
-    comparison_files.sweep(out / ROWS)
+    refuse_within_bank(out)
+    files = [out / TRACES / f"{stem}.csv" for stem in distinct([_stem(e) for e in entries])]
     traces, rows = [], []
-    for number, (entry, stem) in enumerate(zip(entries, stems, strict=True), 1):
+    for number, (entry, file) in enumerate(zip(entries, files, strict=True), 1):
         trace, row, kept = _finish(entry, out / ROWS, report)
-        trace.write_csv(out / TRACES / f"{stem}.csv")
+        trace.write_csv(file)
         traces.append(trace)
         rows.append(row)
         report(f"[{number}/{len(entries)}] {_line(row)}{' (was finished)' if kept else ''}")
     mean = metrics.mean_rows(_shared(rows))
     comparison_files.save_results(out / RESULTS, rows, mean)
+    keep_only(out, "traces", files)
     made = [entry.contestant for entry in entries]
     return Comparison(traces, rows, mean, {c.name: c.needs_truth for c in made if c.needs_truth})
 
@@ -359,7 +363,7 @@ def _by_bank(rows: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
 
 
 def draw(comparison: Comparison, folder: str | Path) -> list[ReportFigure]:
-    """Write the figures of a comparison as PNG files to ``folder``.
+    """Write the figures of a comparison as PNG files to ``folder``; those of an earlier one go.
 
     Per bank: AUC against compute, precision-recall curves, and the runs along the route of the
     policies that vary them; over all banks: the mean front, and the shares of MuSIC's choices.
@@ -386,6 +390,7 @@ def draw(comparison: Comparison, folder: str | Path) -> list[ReportFigure]:
     if trusted := _trusted(comparison.traces):
         path = plots.shares(trusted, folder / "shares.png")
         figures.append(ReportFigure(path, "Shares of MuSIC's choices on each route."))
+    keep_only(folder, "figures", [figure.path for figure in figures])
     return figures
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +12,11 @@ import numpy as np
 
 from amusic_gym import bank_files
 from amusic_gym.bank import ScoreBank
-from amusic_gym.trace import Trace, write_whole
+from amusic_gym.storage import read_json, write_whole
+from amusic_gym.trace import Trace
 
 FORMAT_VERSION = 3
 """Of a row's file: 2 has ``similarity``, 3 ``carry``. Others are written again."""
-
-STALE_SECONDS = 3600.0
 
 Key = Mapping[str, Any]
 
@@ -73,14 +71,10 @@ def load_row(folder: Path, key: Key, bank: ScoreBank) -> Trace | None:
         ValueError: when the file is damaged.
     """
     path = row_path(folder, key)
-    if not path.exists():
+    body = read_checked(path, _digest)
+    if body is None or body.get("format") != FORMAT_VERSION:
         return None
     try:
-        body = json.loads(path.read_bytes())
-        if body.pop("checksum") != _digest(body):
-            raise ValueError("its checksum differs")
-        if body["format"] != FORMAT_VERSION:
-            return None
         trace = body["trace"]
         estimates = [np.nan if value is None else value for value in trace.pop("p_correct")]
         return Trace.join(
@@ -92,15 +86,23 @@ def load_row(folder: Path, key: Key, bank: ScoreBank) -> Trace | None:
             compute_weight=key["compute_weight"],
             **trace,
         )
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
         raise ValueError(f"{path} is damaged ({error}); delete it") from None
 
 
-def sweep(folder: Path) -> None:
-    """Remove what killed writers left half-written; what is young may be another one's work."""
-    for path in folder.glob(".*"):
-        if path.is_file() and time.time() - path.stat().st_mtime > STALE_SECONDS:
-            path.unlink(missing_ok=True)
+def read_checked(path: Path, digest: Callable[[dict[str, Any]], str]) -> dict[str, Any] | None:
+    """The JSON object of a file that holds its own checksum; None where there is no file.
+
+    Raises:
+        ValueError: when the file is damaged.
+    """
+    try:
+        body: dict[str, Any] = read_json(path, "delete it")
+    except FileNotFoundError:
+        return None
+    if body.pop("checksum", None) != digest(body):
+        raise ValueError(f"{path} is damaged (its checksum differs); delete it")
+    return body
 
 
 def save_results(path: Path, rows: list[dict[str, Any]], mean: list[dict[str, Any]]) -> Path:

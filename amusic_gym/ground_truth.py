@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import operator
 from bisect import bisect_left
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from amusic_gym.checks import whole
 
 LARGEST_TOLERANCE = 2**31 - 1
 """Places; the compiled dynamics count no further."""
@@ -39,7 +40,7 @@ class GroundTruth:
     def __post_init__(self) -> None:
         indptr = _integers(self.indptr, "ground truth indptr").copy()
         places = _integers(self.places, "ground truth places").copy()
-        references = whole_number(self.references, "references", at_least=1)
+        references = whole("references", self.references, 1)
         if len(indptr) < 2:
             raise ValueError("ground truth has no query; at least one is needed")
         if indptr[0] != 0 or indptr[-1] != len(places) or np.any(np.diff(indptr) < 0):
@@ -227,29 +228,15 @@ def resolve_ground_truth(
     return ground_truth, ground_truth.half_span() if tolerance is None else tolerance
 
 
-def whole_number(value: object, what: str, at_least: int) -> int:
-    """``value`` as int, refused unless it is a whole number of at least ``at_least``."""
-    if not isinstance(value, bool | np.bool_):
-        try:
-            number = operator.index(value)  # type: ignore[arg-type]
-        except TypeError:
-            pass
-        else:
-            if number >= at_least:
-                return number
-    raise ValueError(f"{what} is {value!r}; give a whole number of at least {at_least}")
-
-
-def check_tolerance(value: object) -> int:
+def check_tolerance(value: Any) -> int:
     """A tolerance in places as int.
 
     Raises:
         ValueError: for anything but a whole number from 0 to ``LARGEST_TOLERANCE``.
     """
-    places = whole_number(value, "tolerance", at_least=0)
-    if places > LARGEST_TOLERANCE:
-        raise ValueError(f"tolerance is {places}; give at most {LARGEST_TOLERANCE} places")
-    return places
+    if whole("tolerance", value, 0) > LARGEST_TOLERANCE:
+        raise ValueError(f"tolerance is {value}; give at most {LARGEST_TOLERANCE} places")
+    return int(value)
 
 
 def _check_shape(shape: tuple[int, ...], queries: int, references: int) -> None:

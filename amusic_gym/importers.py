@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import warnings
 from collections.abc import Mapping, Sequence
@@ -79,7 +78,7 @@ def from_recording(folder: _Path, techniques: Sequence[str] | None = None) -> Sc
     folder = Path(folder)
     path = folder / "techniques.json"
     try:
-        times = json.loads(path.read_text("utf-8"))
+        times = storage.read_json(path, "copy the recording again")
         names = list(techniques or sorted(times, key=str.casefold))
         for name in names:
             if name not in times:
@@ -87,7 +86,7 @@ def from_recording(folder: _Path, techniques: Sequence[str] | None = None) -> Sc
         truth = storage.read_array(folder / "ground_truth.npy")
         per_reference = truth.shape[1]
         seconds = {n: times[n]["encode_s"] + per_reference * times[n]["match_s"] for n in names}
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, IndexError) as error:
+    except (KeyError, TypeError, IndexError) as error:
         raise ValueError(f"{path} or the ground truth beside it is damaged: {error}") from error
     files = {name: folder / "scores" / f"{name}.npy" for name in names}
     return from_arrays(files, seconds, ground_truth=truth, name=folder.name)

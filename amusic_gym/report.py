@@ -16,7 +16,7 @@ from typing import Any
 from amusic_gym.marks import MARK
 from amusic_gym.plots import labels
 from amusic_gym.settings import statistic_label
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import write_whole
 
 PICTURES = {b"\x89PNG\r\n": "png", b"\xff\xd8\xff": "jpeg"}
 """First bytes of a figure's file -> its type."""

@@ -1,4 +1,8 @@
-"""Folders that appear whole or not at all, and arrays read from disk with plain refusals."""
+"""Files and folders that appear whole or not at all, and what is read with plain refusals.
+
+Whatever is written has a hidden name, ``.amusic-….tmp``, and a lock until it is whole. What has
+such a name and no lock is what a killed writer left; the next writer in its folder removes it.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +10,16 @@ import contextlib
 import ctypes
 import errno
 import hashlib
+import json
 import math
 import os
 import secrets
 import shutil
+import stat
 import sys
+import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
@@ -22,6 +29,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 _PREFIX = ".amusic-"
+_UNFINISHED = f"{_PREFIX}*.tmp*"
+_WRITTEN = f"{_PREFIX}written.json"
+_MOST_JSON = 2**28  # bytes
+_PATIENCE = 2.0
+"""Seconds to wait for a lock without a word."""
+
 _SWAP_UNSUPPORTED = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EXDEV, errno.EPERM)
 _OCCUPIED = (errno.ENOTEMPTY, errno.EEXIST)
 
@@ -50,6 +63,8 @@ def read_npy_header(file: BufferedReader, path: Path) -> NpyHeader:
                 shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
             else:
                 shape, fortran, dtype = np.lib.format.read_array_header_2_0(file)
+        if not all(0 <= size < 2**63 for size in shape):
+            raise ValueError(shape)
     except Exception:  # garbage raises nearly anything: tokens, syntax, values, recursion
         size = os.fstat(file.fileno()).st_size
         what = "is empty" if size == 0 else "is not a NumPy .npy file (or its header is damaged)"
@@ -86,13 +101,94 @@ def read_array(path: str | os.PathLike[str]) -> NDArray[Any]:
     return array
 
 
-def open_file(path: Path) -> BufferedReader:
-    """``path`` open for reading, or a sentence that says why not."""
-    if not path.exists():
-        raise FileNotFoundError(f"{path} does not exist; check the name")
-    if path.is_dir():
-        raise ValueError(f"{path} is a folder; give a file")
-    return path.open("rb")
+def open_file(path: Path, folder: int | None = None) -> BufferedReader:
+    """The regular file ``path`` open for reading: a pipe would be waited for, a device never end.
+
+    Args:
+        path: the file.
+        folder: descriptor of the folder to find its name in; None: wherever ``path`` says.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: for a folder, a pipe, a socket or a device.
+    """
+
+    def opener(name: str, flags: int) -> int:
+        return os.open(name, flags | getattr(os, "O_NONBLOCK", 0), dir_fd=folder)
+
+    try:
+        file = open(path if folder is None else path.name, "rb", opener=opener)
+    except (FileNotFoundError, NotADirectoryError):
+        raise FileNotFoundError(f"{path} does not exist; check the name") from None
+    except IsADirectoryError:
+        raise ValueError(f"{path} is a folder; give a file") from None
+    except OSError as error:
+        if error.errno != errno.ENXIO:  # of a socket
+            raise
+    else:
+        if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            return file
+        file.close()
+    raise ValueError(f"{path} is a device or a pipe; give a regular file")
+
+
+def read_regular(path: Path, limit: int, folder: int | None = None) -> bytes:
+    """Content of a regular file of at most ``limit`` bytes; arguments as of `open_file`.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: for what is no regular file, or a larger one.
+    """
+    with open_file(path, folder) as file:
+        content = file.read(limit + 1)
+    if len(content) > limit:
+        raise ValueError(
+            f"{path} has more than the {limit} bytes that such a file may have; check that it is "
+            "the right one"
+        )
+    return content
+
+
+def parse_json(content: bytes, path: Path, mend: str, kind: type = dict) -> Any:
+    """The object that a JSON file holds; every number in it is finite as a float64.
+
+    Args:
+        content: of the file.
+        path: of the file, for messages.
+        mend: what to do about a damaged one, for messages.
+        kind: list, where it holds no object but a list.
+
+    Raises:
+        ValueError: for anything else, also for what is nested too deep.
+    """
+
+    def finite(text: str) -> float:
+        number = float(text)
+        if not math.isfinite(number):
+            raise ValueError(text)
+        return number
+
+    def whole(text: str) -> int:
+        finite(text)
+        return int(text)
+
+    try:
+        parsed = json.loads(
+            content.decode("utf-8"), parse_int=whole, parse_float=finite, parse_constant=finite
+        )
+        json.dumps(parsed)  # what can be read may still be too deep to be written
+    except (ValueError, RecursionError):
+        what = "is not whole JSON of finite numbers" if content.strip() else "is empty"
+        raise ValueError(f"{path} is damaged (it {what}); {mend}") from None
+    if not isinstance(parsed, kind):
+        wanted = "list" if kind is list else "object"
+        raise ValueError(f"{path} is damaged (it holds no JSON {wanted}); {mend}")
+    return parsed
+
+
+def read_json(path: Path, mend: str, kind: type = dict) -> Any:
+    """What a JSON file of at most `_MOST_JSON` bytes holds; see `read_regular`, `parse_json`."""
+    return parse_json(read_regular(path, _MOST_JSON), path, mend, kind)
 
 
 def sha256(file: BufferedReader) -> str:
@@ -123,22 +219,12 @@ class FolderReader:
             raise ValueError(f"{path} is a file; give a folder") from None
 
     def open(self, name: str) -> BufferedReader:
-        """The folder's file ``name``, open for reading.
+        """The folder's file ``name``, open for reading; raises as :func:`open_file`."""
+        return open_file(self.path / name, self._descriptor)
 
-        Raises:
-            FileNotFoundError: when the folder holds no such file.
-        """
-
-        def opener(name: str, flags: int) -> int:
-            where = name if self._descriptor is not None else os.path.join(self.path, name)
-            return os.open(where, flags, dir_fd=self._descriptor)
-
-        try:
-            return open(name, "rb", opener=opener)
-        except FileNotFoundError:
-            raise FileNotFoundError(f"{self.path / name} does not exist; copy it again") from None
-        except IsADirectoryError:
-            raise ValueError(f"{self.path / name} is a folder; a file is expected") from None
+    def read(self, name: str, limit: int) -> bytes:
+        """Content of the folder's file ``name``; raises as :func:`read_regular`."""
+        return read_regular(self.path / name, limit, self._descriptor)
 
     def was_replaced(self) -> bool:
         """Whether the folder's name means another folder by now."""
@@ -177,18 +263,15 @@ def replacing_folder(path: Path, marker: str, contents: frozenset[str]) -> Itera
     path = Path(os.path.realpath(path))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with _locked(path.parent):  # one writer at a time looks, sweeps and renames
+        with locked(path.parent):  # one writer at a time looks, sweeps and renames
             refuse_to_replace_others(path, marker, contents)
-            _sweep(path)
-            folder = path.parent / f"{_PREFIX}{secrets.token_hex(8)}.tmp"
-            folder.mkdir()
-            alive = contextlib.ExitStack()
-            alive.enter_context(_locked(folder))
-        with alive, _removed_at_the_end(folder):
+            _sweep_exchange(path)
+        sweep(path.parent)
+        with unfinished(path.parent, make=Path.mkdir) as folder:
             yield folder
             for file in (*folder.iterdir(), folder):
                 _fsync(file)
-            with _locked(path.parent):
+            with locked(path.parent):
                 refuse_to_replace_others(path, marker, contents)
                 _move_into_place(folder, path)
             with contextlib.suppress(OSError):  # the new folder stands; not all systems sync names
@@ -231,46 +314,204 @@ def refuse_to_replace_others(path: Path, marker: str, contents: frozenset[str]) 
 
 
 @contextlib.contextmanager
-def _removed_at_the_end(folder: Path) -> Iterator[None]:
+def replacing_file(path: Path) -> Iterator[Path]:
+    """Yield an empty file that takes the place of ``path`` when the block ends well.
+
+    Whatever happens (an error, a full disk, SIGKILL), ``path`` holds the old file or the new one,
+    whole.
+
+    Args:
+        path: the final name; its parents are made.
+
+    Raises:
+        OSError: when writing fails; nothing at ``path`` has changed then.
+    """
     try:
-        yield
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)  # unfinished work, or the folder replaced
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _sweep_once(path.parent)
+        with unfinished(path.parent, path.suffix) as temporary:
+            yield temporary
+            os.replace(temporary, path)
+    except OSError as error:
+        raise OSError(
+            error.errno,
+            f"writing {path} failed ({error.strerror or error}); nothing was changed there: "
+            "free some space or choose another folder",
+        ) from error
+
+
+def write_whole(path: str | os.PathLike[str], content: bytes) -> Path:
+    """Write a file, whole or not at all, and make its folder; see `replacing_file`."""
+    path = Path(path)
+    with replacing_file(path) as temporary:
+        temporary.write_bytes(content)
+    return path
+
+
+def keep_only(folder: Path, kind: str, files: Iterable[str | Path]) -> None:
+    """Remove the files of a kind that an earlier run wrote to ``folder`` and this one did not.
+
+    Only what was named in an earlier call is ever removed.
+
+    Args:
+        folder: with `_WRITTEN`, which remembers what was written.
+        kind: of files; others stay.
+        files: of this run, in ``folder`` or below.
+    """
+    path = folder / _WRITTEN
+    written: dict[str, Any] = {}
+    with contextlib.suppress(FileNotFoundError, ValueError):  # a damaged one is begun anew
+        written = read_json(path, "delete it")
+    names = [Path(file).relative_to(folder).as_posix() for file in files]
+    before = written.get(kind)
+    for name in before if isinstance(before, list) else []:
+        if isinstance(name, str) and name not in names and _is_below(name):
+            with contextlib.suppress(OSError):
+                (folder / name).unlink()
+    if before != names:
+        write_whole(path, json.dumps({**written, kind: names}, indent=1).encode() + b"\n")
+
+
+def _is_below(name: str) -> bool:
+    return not Path(name).is_absolute() and ".." not in Path(name).parts
 
 
 @contextlib.contextmanager
-def _locked(folder: Path, wait: bool = True) -> Iterator[bool]:
-    """Hold the lock on ``folder`` itself, which the system drops when the process ends.
+def unfinished(
+    folder: Path, suffix: str = "", make: Callable[[Path], object] = Path.touch
+) -> Iterator[Path]:
+    """Yield a new file or folder in ``folder`` that is gone at the end, unless it was renamed.
+
+    Its permissions are those that the umask gives. While it is locked nobody sweeps it.
+
+    Args:
+        folder: where.
+        suffix: end of its name.
+        make: makes it; default: an empty file.
+    """
+    while True:
+        path = folder / f"{_PREFIX}{secrets.token_hex(8)}.tmp{suffix}"
+        make(path)
+        try:
+            with contextlib.ExitStack() as alive:
+                try:
+                    alive.enter_context(locked(path))
+                except FileNotFoundError:
+                    continue  # swept before it was locked
+                if path.exists():
+                    yield path
+                    return
+        finally:
+            _remove(path)
+
+
+@contextlib.contextmanager
+def only_writer(folder: Path) -> Iterator[None]:
+    """Hold ``folder``, which is made, for this process alone among those that ask so.
+
+    What was made is gone at the end if nothing was written to it.
+
+    Raises:
+        ValueError: when another process holds it.
+    """
+    made = [each for each in (folder, *folder.parents) if not each.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    with contextlib.ExitStack() as alone:
+        try:
+            alone.enter_context(locked(folder, wait=False))
+        except BlockingIOError:
+            raise ValueError(
+                f"{folder} is in use by another process; wait for its end or give another folder"
+            ) from None
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):  # not empty
+                for each in made:
+                    each.rmdir()
+
+
+@contextlib.contextmanager
+def locked(path: Path, wait: bool = True) -> Iterator[bool]:
+    """Hold the lock on a file or folder, which the system drops when the process ends.
 
     Yields:
-        False where it is taken (``wait=False``) or the file system has no locks: writers then go
-        on without, and nothing is swept.
-    """
-    import fcntl  # POSIX only: here, so that reading works elsewhere
+        False where the file system has no locks: writers then go on without, and nothing is swept.
 
-    descriptor = os.open(folder, os.O_RDONLY)
+    Raises:
+        BlockingIOError: where it is taken, with ``wait=False``.
+    """
+    descriptor = os.open(path, os.O_RDONLY)
     try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except OSError:
-            yield False
-        else:
-            yield True
+        yield _lock(descriptor, path, wait)
     finally:
         os.close(descriptor)
 
 
-def _sweep(path: Path) -> None:
-    """Remove what dead writers left next to ``path``, and their half exchange of ``path``."""
+def _lock(descriptor: int, path: Path, wait: bool) -> bool:
+    try:
+        import fcntl  # POSIX only: here, so that the rest works elsewhere
+    except ImportError:
+        return False
+    patience = time.monotonic() + _PATIENCE
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if not wait:
+                raise
+        except OSError:
+            return False
+        else:
+            return True
+        if time.monotonic() > patience:
+            patience = math.inf
+            warnings.warn(
+                f"waiting for the lock on {path}, which another process holds (or `flock`, if it"
+                " runs this command: let it lock something else)",
+                stacklevel=2,
+            )
+        time.sleep(0.01)
+
+
+def is_unfinished(path: Path) -> bool:
+    """Whether a file or folder has the name of one that is being written, or never was whole."""
+    return path.match(_UNFINISHED)
+
+
+def sweep(folder: Path) -> None:
+    """Remove what killed writers left unfinished in ``folder``, and nothing else."""
+    for path in folder.glob(_UNFINISHED):
+        with contextlib.suppress(OSError), locked(path, wait=False) as dead:
+            if dead:
+                _remove(path)
+
+
+_swept: set[Path] = set()
+
+
+def _sweep_once(folder: Path) -> None:
+    folder = Path(os.path.realpath(folder))
+    if folder not in _swept:  # by this process
+        _swept.add(folder)
+        sweep(folder)
+
+
+def _remove(path: Path) -> None:
+    with contextlib.suppress(OSError):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink()
+
+
+def _sweep_exchange(path: Path) -> None:
+    """Mend the half exchange of ``path`` that a dead writer left."""
     restore_folder(path)
     stale = list(path.parent.glob(f"{_aside_stem(path)}*.old"))
     if path.exists():  # looked at after the list was made, so each of these has been replaced
         for aside in stale:
             shutil.rmtree(aside, ignore_errors=True)
-    for folder in path.parent.glob(f"{_PREFIX}*.tmp"):
-        with contextlib.suppress(OSError), _locked(folder, wait=False) as dead:
-            if dead:
-                shutil.rmtree(folder, ignore_errors=True)
 
 
 def _move_into_place(folder: Path, path: Path) -> None:

@@ -8,8 +8,6 @@ sees the second half.
 from __future__ import annotations
 
 import io
-import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.escaping import CsvWriter
 from amusic_gym.settings import carries
+from amusic_gym.storage import write_whole
 
 if TYPE_CHECKING:
     from amusic_gym.sources import Recording
@@ -221,22 +220,6 @@ def csv_line(
         "+".join(ran),
         late_runs,
     ]
-
-
-def write_whole(path: str | Path, content: bytes) -> Path:
-    """Write `content` under a temporary name beside `path`, then rename: whole, or not at all."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:80]}.")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
-        Path(temporary).chmod(0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-    return path
 
 
 def _fields(queries: int, techniques: int) -> dict[str, tuple[type[Any], tuple[int, ...]]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import io
 import os
 import re
 import select
@@ -116,6 +117,17 @@ def add_correction(parser: Parser, whose: str) -> None:
     )
 
 
+def destination(text: str) -> Path:
+    """A file or folder to write, as argparse's ``type``: nothing goes into a bank's folder."""
+    from amusic_gym.bank_files import refuse_within_bank  # here: it takes long to import
+
+    try:
+        refuse_within_bank(Path(text))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return Path(text)
+
+
 def insisted(args: argparse.Namespace) -> dict[str, Any]:
     """What the user said of SIC and MuSIC; None: nothing."""
     return {"statistic": args.statistic, "carry": args.carry, "discount": args.discount}
@@ -187,7 +199,10 @@ def run(main: Callable[[], int | None]) -> NoReturn:
 
 
 def _escape_output() -> None:
-    """Let names in what is printed be shown, not obeyed by the terminal."""
+    """Let names in what is printed be shown, not obeyed, and ``?`` for what a terminal lacks."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     if sys.stdout is not None:
         write = sys.stdout.write
         sys.stdout.write = lambda text: write(for_terminal(text))  # type: ignore[method-assign]

@@ -16,9 +16,9 @@ from amusic_gym.pictures.sightings import Pictures
 from amusic_gym.policy import Selector
 from amusic_gym.routes.tours import Tour
 from amusic_gym.routes.video import VideoWriter
+from amusic_gym.storage import write_whole
 from amusic_gym.task import RENDER_FPS
 from amusic_gym.techniques import make_technique
-from amusic_gym.trace import write_whole
 
 COMPUTE_WEIGHT = 0.3
 SHOWN = 60

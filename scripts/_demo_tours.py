@@ -13,6 +13,7 @@ from amusic_gym.bank import ScoreBank
 from amusic_gym.extraction import Cache, extract
 from amusic_gym.routes.rendered import Kind, render_folders
 from amusic_gym.routes.tours import Tour, make_tour
+from amusic_gym.storage import write_whole
 
 TECHNIQUES = ("hog", "calc", "netvlad", "cohog")
 TOLERANCE = 1
@@ -83,6 +84,4 @@ def contact_sheet(tour: Tour, out: Path) -> Path:
     columns = [np.concatenate([tour.reference[i], tour.query[i]]) for i in frames]
     sheet = np.concatenate(columns, axis=1)
     small = cv2.resize(sheet, None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA)
-    path = out / "tour.jpg"
-    path.write_bytes(cv2.imencode(".jpg", small)[1].tobytes())
-    return path
+    return write_whole(out / "tour.jpg", cv2.imencode(".jpg", small)[1].tobytes())

@@ -18,7 +18,7 @@ from agents.training import simulated_routes
 from amusic_gym.bank import ScoreBank
 from amusic_gym.metrics import compute
 from amusic_gym.rollout import Job, rollouts
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import read_json, write_whole
 from baselines.cascade import Cascade
 
 FILE = "teacher.json"
@@ -158,8 +158,8 @@ def _write(path: Path, choices: Sequence[Choice]) -> None:
 
 
 def _read(path: Path) -> list[Choice]:
+    rows = read_json(path, "delete it to choose again", list)
     try:
-        rows = json.loads(path.read_text("utf-8"))
         return [Choice(**{**row, "parameters": Parameters(**row["parameters"])}) for row in rows]
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is damaged ({error}); delete it to choose again") from error

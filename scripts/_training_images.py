@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from amusic_gym.routes import rendered
 from amusic_gym.routes.rendered import CONDITIONS, KINDS, SPACING, World, render
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import write_whole
 
 DRIVES = 2
 """Drives through each world; another drive differs in its line, sway, light and parked cars."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from _cli import Parser
+from _cli import Parser, destination
 from _training_images import Pool, PoolSize, make_pool, renderer_digest
 from _training_validation import Describe, accuracy
 
@@ -107,7 +107,7 @@ def command(
 def _parser(description: str | None) -> Parser:
     parser = Parser(description=(description or "").splitlines()[0])
     add = parser.add_argument
-    add("--out", type=Path, required=True, help="the weights' file, NAME.safetensors")
+    add("--out", type=destination, required=True, help="the weights' file, NAME.safetensors")
     add("--seed", type=int, default=0, help="of everything that is drawn (0)")
     add("--resume", action="store_true", help="go on from the checkpoint beside the weights' file")
     add("--images", type=Path, help="a folder that keeps the rendered images for the next training")

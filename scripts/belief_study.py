@@ -10,10 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
-from _cli import Parser, run
+from _cli import Parser, destination, run
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.belief.fitting import Drive
@@ -22,7 +21,7 @@ from amusic_gym.escaping import for_markdown
 from amusic_gym.metrics import area, precision_recall
 from amusic_gym.routes.retime import retime
 from amusic_gym.routes.simulate import POPULATION
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import write_whole
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 WITHOUT = {
@@ -91,7 +90,7 @@ def main(arguments: list[str] | None = None) -> None:
     add("--simulated", type=int, default=0, metavar="N", help="and so many simulated routes (0)")
     add("--seeds", type=int, default=3, help="re-timings of each bank (3)")
     add("--costs", default="measured", help="cost model (measured)")
-    add("--out", type=Path, help="Markdown file")
+    add("--out", type=destination, help="Markdown file")
     given = parser.parse_args(arguments)
     banks = [ScoreBank.load(folder).with_costs(given.costs) for folder in given.bank]
     for i in range(given.simulated):

@@ -54,14 +54,13 @@ import json
 from collections.abc import Callable
 from functools import partial
 from itertools import cycle
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from _timing import Medians, Side, interleave, one_thread, readable
 
 one_thread()
 
-from _cli import Parser, run  # noqa: E402  (after the line above, which NumPy reads)
+from _cli import Parser, destination, run  # noqa: E402  (after the line above, which NumPy reads)
 
 # isort: split
 import _bench_reference as reference  # noqa: E402
@@ -93,7 +92,7 @@ from _bench_start import measure_start  # noqa: E402
 
 from amusic_gym.env import TechniqueSelectionEnv  # noqa: E402
 from amusic_gym.settings import SICSettings  # noqa: E402
-from amusic_gym.trace import write_whole  # noqa: E402
+from amusic_gym.storage import write_whole  # noqa: E402
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv  # noqa: E402
 
 BELIEF: dict[str, Any] = {"statistic": "belief", "carry": None, "discount": None}
@@ -452,7 +451,9 @@ def _line(name: str, measured: Measured) -> str:
 def _parser() -> argparse.ArgumentParser:
     first = (__doc__ or "").splitlines()[0]
     parser = Parser(prog="bench.py", description=first)
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="JSON to write")
+    parser.add_argument(
+        "--out", type=destination, required=True, metavar="FILE", help="JSON to write"
+    )
     parser.add_argument(
         "--quick", action="store_true", help="small sizes: shows that it runs, not how fast it is"
     )

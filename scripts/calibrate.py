@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _cli import Parser, run
+from _cli import Parser, destination, run
 from numpy.typing import NDArray
 
 from amusic_gym import __version__
@@ -30,7 +30,7 @@ from amusic_gym.calibration import (
 )
 from amusic_gym.routes.simulate import population
 from amusic_gym.settings import STATISTICS
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import write_whole
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 RATES = (0.05, 0.1, 0.3, 0.6, 1.0)  # shares of the techniques that run on a frame
@@ -127,7 +127,7 @@ def main(arguments: list[str] | None = None) -> None:
         help="of which; the others stay as they are (all)",
     )
     default = Path(__file__).parent.parent / "amusic_gym" / FILE
-    parser.add_argument("--out", type=Path, default=default, help="the package's file")
+    parser.add_argument("--out", type=destination, default=default, help="the package's file")
     given = parser.parse_args(arguments)
     command = f"python scripts/calibrate.py --routes {given.routes} --seed {given.seed}"
     table: dict[str, Any] = {"made_by": command, "version": __version__, "coefficients": {}}

@@ -12,9 +12,8 @@ from __future__ import annotations
 
 import argparse
 from functools import partial
-from pathlib import Path
 
-from _cli import Parser, add_correction, insisted, run
+from _cli import Parser, add_correction, destination, insisted, run
 from _contestants import contestants
 
 from amusic_gym.bank import COST_MODELS, ScoreBank
@@ -40,7 +39,7 @@ def _parser() -> Parser:
     add = parser.add_argument
     add("--bank", nargs="+", action="extend", required=True, metavar="BANK", help="folders")
     add("--policy", nargs="+", action="extend", metavar="POLICY", help="see above")
-    add("--out", type=Path, required=True, metavar="DIR", help="the folder to write")
+    add("--out", type=destination, required=True, metavar="DIR", help="the folder to write")
     add(
         "--all-subsets",
         action="store_true",

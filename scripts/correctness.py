@@ -8,10 +8,9 @@ reliability.png, of the random activity tables.md and reliability_random.png.
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
-from _cli import Parser, run
+from _cli import Parser, destination, run
 from _random_activity import held_against_truth, random_drives, tables
 from _reliability_figure import draw_reliability
 
@@ -22,7 +21,8 @@ from amusic_gym.correctness import assess, table
 from amusic_gym.policy import Context
 from amusic_gym.rollout import rollout
 from amusic_gym.settings import STATISTICS, SICSettings
-from amusic_gym.trace import Trace, write_whole
+from amusic_gym.storage import write_whole
+from amusic_gym.trace import Trace
 from baselines import make_policy
 
 
@@ -40,7 +40,7 @@ def _parser() -> Parser:
     parser = Parser(description=__doc__)
     add = parser.add_argument
     add("--bank", nargs="+", action="extend", required=True, metavar="BANK", help="folders")
-    add("--out", type=Path, required=True, metavar="DIR", help="the folder to write")
+    add("--out", type=destination, required=True, metavar="DIR", help="the folder to write")
     add(
         "--statistic",
         choices=STATISTICS,

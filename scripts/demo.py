@@ -14,11 +14,11 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 
-from _cli import Parser, run
+from _cli import Parser, destination, run
 from _contestants import contestants
 from _rivals import study_rivals
 
-from agents.config import RolloutConfig, TrainingConfig
+from agents.config import RolloutConfig, TrainingConfig, stored_config
 from agents.policy_iteration import iterate_policy
 from agents.run_folder import CHECKPOINT
 from agents.selector import load_selector
@@ -57,8 +57,12 @@ def say(text: str) -> None:
     print(f"[{time.monotonic() - _begun:4.0f} s] {text}", flush=True)
 
 
-def learn(folder: Path, iterations: int, seed: int) -> None:
-    """Train on simulated routes, by their ground truth; a finished training stays as it is."""
+def training(folder: Path, iterations: int, seed: int) -> TrainingConfig:
+    """How to train on simulated routes, by their ground truth.
+
+    Raises:
+        ValueError: if the folder holds a training with other settings.
+    """
     config = TrainingConfig(
         algorithm="rollouts",
         seed=seed,
@@ -67,13 +71,18 @@ def learn(folder: Path, iterations: int, seed: int) -> None:
         held_out=12,
         rollouts=RolloutConfig(iterations=iterations, **QUICK),
     )
-    iterate_policy(folder, config, resume=(folder / CHECKPOINT).exists())
+    if (folder / CHECKPOINT).exists() and stored_config(folder) != config:
+        raise ValueError(
+            f"{folder} holds a training with another --seed or other --iterations; give another"
+            f" --out, or delete {folder}"
+        )
+    return config
 
 
 def main() -> None:
     """Parse, render, extract, train, compare, tell."""
     parser = Parser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder to write")
+    parser.add_argument("--out", type=destination, default=Path("out/demo"), help="folder to write")
     parser.add_argument("--bank", nargs="+", action="extend", type=Path, default=[], help="yours")
     parser.add_argument(
         "--costs",
@@ -90,11 +99,12 @@ def main() -> None:
         others.insert(0, from_recording(Path(folder) / "corridor", REAL))
     others = [bank.with_costs(given.costs) for bank in others]  # refused before long work
 
+    run_folder = out / "run"
+    config = training(run_folder, given.iterations, given.seed)
     tours = rendered.make_tours(out, say)
     banks = [bank.with_costs(given.costs) for bank in rendered.banks_of(tours, out, say)]
-    run_folder = out / "run"
     say(f"training a selector on simulated routes: {given.iterations} iterations")
-    learn(run_folder, given.iterations, given.seed)
+    iterate_policy(run_folder, config, resume=(run_folder / CHECKPOINT).exists())
     trained = f"ppo:{run_folder}"
 
     with warnings.catch_warnings():

@@ -13,13 +13,13 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
-from _cli import Parser, run
+from _cli import Parser, destination, run
 
 from amusic_gym import __version__
 from amusic_gym.belief.fitting import PLAIN, Drive, activity, from_unit, score, to_unit
 from amusic_gym.belief.rates import FILE, Rates, fitted
 from amusic_gym.routes.simulate import POPULATION
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import read_json, write_whole
 
 HELD_OUT_SEED = 1
 STEP = 0.12  # of the search at first, in parts of a rate's limits
@@ -63,7 +63,7 @@ def search(
 
 def _stored(file: Path) -> Rates:
     try:
-        return Rates(**json.loads(file.read_text("utf-8"))["rates"])
+        return Rates(**read_json(file, "give one that this wrote")["rates"])
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{file} holds no rates ({error}); give one that this wrote") from error
 
@@ -79,7 +79,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--threads", type=int, default=2, help="(2)")
     parser.add_argument("--start", type=Path, help="rates to begin with (plain ones)")
     default = Path(__file__).parent.parent / "amusic_gym" / "belief" / FILE
-    parser.add_argument("--out", type=Path, default=default, help="the package's file")
+    parser.add_argument("--out", type=destination, default=default, help="the package's file")
     given = parser.parse_args(arguments)
     start = _stored(given.start) if given.start else PLAIN
     routes, held_out = drives(given.seed, given.routes), drives(HELD_OUT_SEED, given.held_out)

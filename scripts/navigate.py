@@ -20,6 +20,7 @@ from _cli import (  # first: Ctrl-C ends well from here on
     Parser,
     add_correction,
     by_technique,
+    destination,
     insisted,
     number,
     pairs,
@@ -281,9 +282,14 @@ def _parser() -> Parser:
     add("--every", type=int, metavar="N", help="of a video: take each N-th frame")
     add("--fps", type=float, metavar="F", help="of a video: take F frames per second of it")
     add_reading(parser)
-    add("--cache", type=Path, metavar="DIR", help="where descriptors of the map are kept")
-    add("--trace", type=Path, metavar="FILE.csv", help="write a line per frame")
-    add("--video", type=Path, metavar="FILE.mp4|.avi", help="write the picture of every frame")
+    add("--cache", type=destination, metavar="DIR", help="where descriptors of the map are kept")
+    add("--trace", type=destination, metavar="FILE.csv", help="write a line per frame")
+    add(
+        "--video",
+        type=destination,
+        metavar="FILE.mp4|.avi",
+        help="write the picture of every frame",
+    )
     add(
         "--show", action="store_true", help="show it in a window; closing the window ends the drive"
     )

@@ -14,7 +14,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from _cli import Parser, pairs, run
+from _cli import Parser, destination, pairs, run
 from _rivals import study_rivals
 
 from amusic_gym.bank import COST_MODELS, ScoreBank
@@ -93,7 +93,7 @@ def _parser() -> Parser:
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("kind", choices=("tours", "recorded"), help="see above")
-    add("--out", type=Path, required=True, metavar="DIR", help="the folder to write")
+    add("--out", type=destination, required=True, metavar="DIR", help="the folder to write")
     add(
         "--selector",
         nargs="+",

@@ -12,7 +12,7 @@ from pathlib import Path
 from textwrap import fill
 
 import numpy as np
-from _cli import Parser, run
+from _cli import Parser, destination, run
 from numpy.typing import NDArray
 
 from amusic_gym.bank import ScoreBank
@@ -23,7 +23,7 @@ from amusic_gym.routes.motion import MOTIONS
 from amusic_gym.routes.simulate import Simulation
 from amusic_gym.routes.statistics import MEASURES, describe
 from amusic_gym.settings import STATISTICS
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import write_whole
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 ROUTES, SEED = 60, 1000
@@ -140,7 +140,9 @@ def draw_matrices(simulated: Sequence[ScoreBank], real: Sequence[ScoreBank], pat
 
 def _parser() -> Parser:
     parser = Parser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="for the figures")
+    parser.add_argument(
+        "--out", type=destination, required=True, metavar="DIR", help="for the figures"
+    )
     parser.add_argument("--bank", type=Path, action="append", default=[], metavar="BANK")
     parser.add_argument("--routes", type=int, default=ROUTES, metavar="N", help="simulated routes")
     parser.add_argument("--seed", type=int, default=SEED, metavar="S", help="of the first route")
@@ -160,7 +162,6 @@ def main() -> None:
     seeds = range(args.seed, args.seed + args.routes)
     drawn = [simulation.route(np.random.default_rng(s), name=f"seed {s}") for s in seeds]
     ours, theirs = measure(drawn), measure(real)
-    args.out.mkdir(parents=True, exist_ok=True)
     print_table(ours, theirs)
     write_table(ours, theirs, args.out / "measures.csv")
     draw_measures(ours, theirs, args.out / "measures.png")

@@ -13,7 +13,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from _cli import Parser, add_correction, insisted, pairs, run
+from _cli import Parser, add_correction, destination, insisted, pairs, run
 from _study_policies import Lineup
 
 from amusic_gym import study
@@ -29,7 +29,7 @@ def _parser() -> Parser:
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("--bank", nargs="+", action="extend", required=True, metavar="BANK", help="folders")
-    add("--out", type=Path, required=True, metavar="DIR", help="the folder to write")
+    add("--out", type=destination, required=True, metavar="DIR", help="the folder to write")
     _add_policies(parser)
     add("--costs", choices=COST_MODELS, help="cost model (default: the bank's own)")
     add(

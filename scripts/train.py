@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from _cli import Parser, add_correction, pairs, run
+from _cli import Parser, add_correction, destination, pairs, run
 
 if TYPE_CHECKING:
     from agents.config import TrainingConfig
@@ -84,7 +84,7 @@ def _parser() -> Parser:
     defaults = TrainingConfig()
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
-    add("--out", type=Path, required=True, help="run folder")
+    add("--out", type=destination, required=True, help="run folder")
     add("--algorithm", choices=list(ALGORITHMS), help=f"see above (default: {defaults.algorithm})")
     add("--bank", action="append", default=[], help="train on this bank (repeat)")
     add("--timesteps", type=int, help=f"frames in all (default: {defaults.timesteps})")

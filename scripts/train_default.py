@@ -12,7 +12,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from _cli import Parser, run
+from _cli import Parser, destination, run
 
 from agents.shipped import SHIPPED, shipped
 from amusic_gym.settings import SICSettings
@@ -71,8 +71,11 @@ def _finished(out: Path, timesteps: int) -> bool:
     from agents.run_folder import EVALUATIONS
 
     file = out / EVALUATIONS
-    rows = file.read_text("utf-8").split() if file.is_file() else []
-    return len(rows) > 1 and int(rows[-1].split(",")[0]) >= timesteps
+    rows = file.read_text("utf-8", "replace").split() if file.is_file() else []
+    done = rows[-1].split(",")[0] if len(rows) > 1 else "0"
+    if not done.isdecimal():
+        raise ValueError(f"{file} is damaged; delete {out} to train again")
+    return int(done) >= timesteps
 
 
 def is_same(out: Path, folder: Path) -> bool:
@@ -90,7 +93,7 @@ def ship(out: Path, folder: Path) -> None:
         ValueError: if the selector in ``folder`` does better on the held-out routes.
     """
     from agents.run_folder import SELECTOR, read_config, write_config
-    from amusic_gym.trace import write_whole
+    from amusic_gym.storage import write_whole
 
     if not is_same(out, folder):
         _refuse_worse(out, folder)
@@ -137,7 +140,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Parse, train, compare with what ships, and ship where asked."""
     parser = Parser(description=(__doc__ or "").splitlines()[0])
     add = parser.add_argument
-    add("--out", type=Path, required=True, help="run folder")
+    add("--out", type=destination, required=True, help="run folder")
     add("--timesteps", type=int, default=TIMESTEPS, help=f"of PPO, for belief ({TIMESTEPS})")
     add("--seed", type=int, default=SEED, help=f"({SEED})")
     add("--threads", type=int, default=2, help="that drive; the result is the same (%(default)s)")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -335,18 +334,6 @@ def test_34_interrupt_keeps_what_is_finished(tmp_path):
     compare([bank], lineup, tmp_path, report=len)
     assert lineup.runs == ["bank1 cascade"]
     assert kept.items() <= files(tmp_path).items()
-
-
-def test_27_leftovers_of_killed_writers_are_swept(tmp_path):
-    folder = tmp_path / "rows"
-    folder.mkdir()
-    old, young = folder / ".a.json.x1", folder / ".b.json.x2"
-    for path in (old, young):
-        path.write_bytes(b"{")
-    os.utime(old, (0, 0))
-    compare([random_bank(1, queries=20)], Lineup("music"), tmp_path, report=len)
-    assert not old.exists()
-    assert young.exists()  # perhaps another comparison is writing it
 
 
 def test_nothing_runs_when_a_policy_is_wrong(tmp_path):

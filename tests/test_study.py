@@ -902,7 +902,7 @@ def test_command_runs_prints_and_resumes(run, tmp_path, folders, trained):  # no
         EVERYONE,
     }
     made = {path.name for path in out.iterdir()}
-    assert made == {"cells", "study.json", "tables.md", "fronts.png"}
+    assert made == {"cells", "study.json", "tables.md", "fronts.png", ".amusic-written.json"}
     assert "Audit: estimated correctness" in done.stdout
     dry = run("study.py", *words, "--dry-run")
     assert dry.stdout.splitlines()[-1] == "22 of 22 cells finished, 0 to compute"

@@ -16,10 +16,12 @@ import pytest
 import torch
 import weight_cases as cases
 from safetensors.numpy import save, save_file
+from scipy.io import loadmat, savemat
 
-from amusic_gym.techniques import weight_files, weight_readers
+from amusic_gym.techniques import matfile, weight_files, weight_readers
 from amusic_gym.techniques.caffemodel import read_caffemodel
 from amusic_gym.techniques.calc import CALC, load_calc
+from amusic_gym.techniques.matfile import read_matfile
 from amusic_gym.techniques.netvlad import NetVLAD
 from amusic_gym.techniques.weight_files import read_weights
 
@@ -40,8 +42,6 @@ def npz_bytes(arrays: cases.Arrays) -> bytes:
 
 
 def mat_bytes(arrays: dict[str, object]) -> bytes:
-    from scipy.io import savemat
-
     stream = io.BytesIO()
     savemat(stream, arrays)
     return stream.getvalue()
@@ -283,3 +283,88 @@ def test_a_zip_that_is_no_archive_of_arrays_is_refused(tmp_path):
             archive.writestr("readme.txt", "hello")
         with pytest.raises(ValueError, match=r"other\."):
             CALC(path)
+
+
+# ---- MATLAB's own format -------------------------------------------------------------------
+
+
+def test_matlab_files_are_read_as_scipy_reads_them():
+    rng = np.random.default_rng(0)
+    cell = np.empty((2, 3), object)
+    for number in range(6):
+        cell.ravel()[number] = rng.random((number, 2))
+    given = {
+        "single": rng.random((3, 4)).astype(np.float32),
+        "four": rng.random((2, 3, 4, 5)),
+        "text": "abc",
+        "whole": np.arange(5),
+        "complex": rng.random(3) + 1j,
+        "logical": np.array([True]),
+        "number": 3.25,
+        "cell": cell,
+        "structure": {"x": 1.5, "y": {"z": rng.random(7)}},
+    }
+    for packed in (False, True):
+        stream = io.BytesIO()
+        savemat(stream, given, do_compression=packed)
+        found = read_matfile(stream.getvalue(), 1 << 20)
+        expected = loadmat(stream, struct_as_record=False)
+        for name in ("single", "four", "number"):
+            assert found[name].dtype == expected[name].dtype
+            assert np.array_equal(found[name], expected[name])
+        for ours, theirs in zip(found["cell"], expected["cell"].ravel(), strict=True):
+            assert ours is None or np.array_equal(ours, theirs)
+            assert ours is not None or theirs.size == 0
+        assert found["structure"]["x"] == 1.5
+        assert np.array_equal(found["structure"]["y"]["z"].ravel(), given["structure"]["y"]["z"])
+        assert [found[name] for name in ("text", "whole", "complex", "logical")] == [None] * 4
+
+
+def test_matlab_numbers_that_are_stored_in_fewer_bytes_are_floats():
+    """MATLAB writes doubles that are small whole numbers as bytes."""
+    stream = io.BytesIO()
+    savemat(stream, {"a": np.array([[1, 2, 3, 4]], np.uint8)})
+    data = bytearray(stream.getvalue())
+    at = 128 + 8 + 8  # the class of the matrix
+    assert data[at] == 9
+    data[at] = 6
+    found = read_matfile(bytes(data), 1 << 20)["a"]
+    assert found.dtype == np.float64
+    assert found.tolist() == [[1.0, 2.0, 3.0, 4.0]]
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_30_changed_matlab_files_are_read_or_refused_in_a_sentence(tmp_path, packed):
+    """Where one byte is changed SciPy's reader may end the process."""
+    stream = io.BytesIO()
+    savemat(stream, {"net": {"w": np.ones((3, 2)), "c": "x"}, "b": 2.0}, do_compression=packed)
+    data, rng = stream.getvalue(), np.random.default_rng(0)
+    path = tmp_path / "weights.mat"
+    for _ in range(300):
+        made = bytearray(data)
+        made[rng.integers(126, len(made))] = rng.integers(256)
+        path.write_bytes(made)
+        try:
+            read_weights(path)
+        except ValueError as error:
+            words = str(error)  # some changes do no harm
+            assert words.startswith(str(path))
+            assert len(words.splitlines()) == 1
+
+
+def test_30_contents_beyond_the_limit_are_refused_before_they_are_unpacked(tmp_path, monkeypatch):
+    limit = 1 << 20
+    monkeypatch.setattr(weight_readers, "MOST_BYTES", limit)
+    stream = io.BytesIO()
+    savemat(stream, {"a": np.zeros(limit // 8)}, do_compression=True)
+    bomb = tmp_path / "bomb.mat"
+    bomb.write_bytes(stream.getvalue())
+    unpacked = []
+    monkeypatch.setattr(matfile.zlib, "decompress", lambda *_, **__: unpacked.append(1))
+    with pytest.raises(ValueError, match=f"bomb.mat unpacks to more than {limit} bytes; save"):
+        read_weights(bomb)
+    assert not unpacked
+    one = torch.ones(1).expand(limit // 4 // 3)  # as often as it is named, in four bytes
+    torch.save({str(i): one for i in range(4)}, tmp_path / "claims.pth")
+    with pytest.raises(ValueError, match=r"claims\.pth claims \d+ numbers for 3; save the weights"):
+        read_weights(tmp_path / "claims.pth")

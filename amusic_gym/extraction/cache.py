@@ -7,17 +7,15 @@ It is compared the first time that a run uses the entry.
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import hashlib
 import os
-import secrets
 import tempfile
 import warnings
-from collections.abc import Iterator
-from io import BufferedRandom, BufferedReader
+from io import BufferedReader
 from pathlib import Path
 from types import TracebackType
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,11 +122,11 @@ class Cache:
         for attempt in range(_ATTEMPTS):
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
-                with _incoming(folder) as (file, temporary):
-                    _write(file, key, array)
+                with storage.unfinished(folder / _INCOMING) as temporary:
+                    _write(temporary, key, array)
                     os.replace(temporary, path)
                 break
-            except FileNotFoundError:  # swept as it was opened, or the cache is being deleted
+            except FileNotFoundError:  # the cache is being deleted
                 if attempt == _ATTEMPTS - 1:
                     raise
             except OSError as error:
@@ -166,8 +164,8 @@ class Cache:
 
     def _prepare(self, folder: Path) -> None:
         (folder / _INCOMING).mkdir(parents=True, exist_ok=True)
-        _sweep(folder / _INCOMING)
-        with _incoming(folder):  # fails where nothing can be written
+        storage.sweep(folder / _INCOMING)
+        with storage.unfinished(folder / _INCOMING):  # fails where nothing can be written
             pass
 
     def _go_elsewhere(self, error: OSError) -> None:
@@ -219,7 +217,7 @@ def _address(file: BufferedReader, path: Path) -> Stored:
     return Stored(path, header.offset, header.shape)
 
 
-def _digest(file: BufferedReader | BufferedRandom, key: str) -> bytes:
+def _digest(file: BinaryIO, key: str) -> bytes:
     """Digest of the key and all of the file from where it stands."""
     digest = hashlib.sha256(key.encode())
     while piece := file.read(1 << 20):
@@ -227,36 +225,11 @@ def _digest(file: BufferedReader | BufferedRandom, key: str) -> bytes:
     return digest.hexdigest().encode()
 
 
-def _write(file: BufferedRandom, key: str, array: NDArray[np.float32]) -> None:
-    file.write(bytes(_DIGEST))
-    np.lib.format.write_array(file, np.ascontiguousarray(array, "<f4"), allow_pickle=False)
-    file.seek(_DIGEST)
-    digest = _digest(file, key)
-    file.seek(0)
-    file.write(digest)
-    file.flush()
-
-
-@contextlib.contextmanager
-def _incoming(folder: Path) -> Iterator[tuple[BufferedRandom, Path]]:
-    """A new file, locked while it is written, so that nobody sweeps it; removed unless renamed."""
-    import fcntl  # POSIX only: here, so that importing works elsewhere
-
-    path = folder / _INCOMING / f"{secrets.token_hex(8)}.tmp"
-    with path.open("x+b") as file:
-        try:
-            with contextlib.suppress(OSError):  # a file system without locks: nothing is swept
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            yield file, path
-        finally:
-            path.unlink(missing_ok=True)
-
-
-def _sweep(folder: Path) -> None:
-    """Remove the files of writers that are no more."""
-    import fcntl
-
-    for path in folder.glob("*.tmp"):
-        with contextlib.suppress(OSError), path.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            path.unlink()
+def _write(path: Path, key: str, array: NDArray[np.float32]) -> None:
+    with path.open("r+b") as file:
+        file.write(bytes(_DIGEST))
+        np.lib.format.write_array(file, np.ascontiguousarray(array, "<f4"), allow_pickle=False)
+        file.seek(_DIGEST)
+        digest = _digest(file, key)
+        file.seek(0)
+        file.write(digest)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

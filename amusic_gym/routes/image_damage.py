@@ -16,7 +16,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym._compile import standalone
+from amusic_gym._compile import without_gil
 from amusic_gym.routes.image_headers import JPEG_MARKER, tiff_tags
 
 _SPARE = 8  # bytes that may be left over at the end of a JPEG's scan
@@ -176,7 +176,7 @@ def _check_scan(
         raise ValueError(f"is damaged: {_WORDS[state]}")
 
 
-@standalone("routes/image_damage.py")
+@without_gil
 def _walk(
     data: _U8,
     ends: _I64,
@@ -227,7 +227,7 @@ def _walk(
     return _WHOLE if done == total else _EARLY
 
 
-@standalone("routes/image_damage.py")
+@without_gil
 def _block(
     data: _U8,
     pos: int,
@@ -260,13 +260,13 @@ def _block(
     return _sequential(data, pos, k, ac), 0
 
 
-@standalone("routes/image_damage.py")
+@without_gil
 def _nothing(data: _U8, pos: int) -> int:
     """What stands for a code that means nothing: -1, or the end of the data where it is there."""
     return -1 if (pos >> 3) + 8 < len(data) else 8 * len(data)
 
 
-@standalone("routes/image_damage.py")
+@without_gil
 def _peek(data: _U8, pos: int) -> int:
     """The 16 bits from bit ``pos`` on; 0 beyond the end."""
     at = pos >> 3
@@ -276,7 +276,7 @@ def _peek(data: _U8, pos: int) -> int:
     return (three >> (8 - (pos & 7))) & 0xFFFF
 
 
-@standalone("routes/image_damage.py")
+@without_gil
 def _is_blank(data: _U8, start: int, stop: int) -> bool:
     """Whether all whole bytes between two bits are 0."""
     for at in range((start + 7) >> 3, stop >> 3):
@@ -285,7 +285,7 @@ def _is_blank(data: _U8, start: int, stop: int) -> bool:
     return True
 
 
-@standalone("routes/image_damage.py")
+@without_gil
 def _sequential(data: _U8, pos: int, k: int, ac: NDArray[np.uint16]) -> int:
     """Where the AC coefficients of a block end; negative where a code means nothing."""
     while k < 64:
@@ -300,7 +300,7 @@ def _sequential(data: _U8, pos: int, k: int, ac: NDArray[np.uint16]) -> int:
     return pos if k == 64 else -1
 
 
-@standalone("routes/image_damage.py")
+@without_gil
 def _band(
     data: _U8,
     pos: int,
@@ -338,7 +338,7 @@ def _band(
     return pos, run
 
 
-@standalone("routes/image_damage.py")
+@without_gil
 def _skipped(mask: np.uint64, k: int, last: int, skip: int) -> int:
     """The coefficient behind ``skip`` ones that are 0 in ``mask``, and all others between."""
     while k <= last:
@@ -350,7 +350,7 @@ def _skipped(mask: np.uint64, k: int, last: int, skip: int) -> int:
     return k
 
 
-@standalone("routes/image_damage.py")
+@without_gil
 def _refined(mask: np.uint64, first: int, stop: int) -> int:
     """How many coefficients of ``first`` to before ``stop`` are in ``mask``: a bit for each."""
     bits = 0
@@ -403,7 +403,7 @@ def _unpacked(coded: bytes, kind: int, wanted: int) -> int:
     return length if stream.eof else 0  # the checksum stands at the end
 
 
-@standalone("routes/image_damage.py")
+@without_gil
 def _lzw_length(data: _U8, wanted: int) -> int:
     """Bytes that LZW data unpack to; 0 where a code is not in the table yet."""
     lengths = np.ones(4097, np.int64)

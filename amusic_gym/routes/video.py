@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 import os
-import secrets
 import time
 import warnings
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import numpy as np
 
+from amusic_gym import storage
 from amusic_gym.checks import whole
 from amusic_gym.names import suggest
 from amusic_gym.routes.images import MAX_PIXELS
@@ -297,8 +298,7 @@ class VideoWriter:
         if self.path.is_dir():
             raise ValueError(f"{self.path} is a folder; give a file")
         self.fps = fps
-        # Short and plain whatever the name: some backends take no other.
-        self._temporary = self.path.with_name(f".amusic-{secrets.token_hex(8)}{suffix}")
+        self._file = ExitStack()
         self._writer: Any = None
         self._size = (0, 0)
         self._written = 0
@@ -323,11 +323,17 @@ class VideoWriter:
     def _open(self, size: tuple[int, int]) -> Any:
         import cv2
 
-        self.path.parent.mkdir(parents=True, exist_ok=True)
+        folder = self.path.parent
+        folder.mkdir(parents=True, exist_ok=True)
+        storage.sweep(folder)
+        # Short and plain whatever the name: some backends take no other.
+        unfinished = storage.unfinished(folder, self.path.suffix.lower())
+        self._temporary = self._file.enter_context(unfinished)
         code = cv2.VideoWriter.fourcc(*CODECS[self.path.suffix.lower()])
         with _Quiet():
             writer = cv2.VideoWriter(os.fspath(self._temporary), code, self.fps, size)
         if not writer.isOpened():
+            self._file.close()
             raise OSError(f"{self.path} cannot be written; choose another folder, or .avi")
         return writer
 
@@ -342,7 +348,7 @@ class VideoWriter:
             return
         self._writer.release()
         self._writer = None
-        try:
+        with self._file:
             if not self._written:
                 return
             if not self._is_whole():
@@ -351,8 +357,6 @@ class VideoWriter:
                     " space or choose another folder"
                 )
             os.replace(self._temporary, self.path)
-        finally:
-            self._temporary.unlink(missing_ok=True)
 
     def _is_whole(self) -> bool:
         """Whether the last picture can be read back; OpenCV does not tell of a full disk."""

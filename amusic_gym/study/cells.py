@@ -185,8 +185,12 @@ AUDITED = ("p_correct", "gap", "auroc", "calibration_error")
 """Of p̂ over a cell's frames: its mean, its mean minus the accuracy, and its quality."""
 
 
+MEASURED = ("queries", *metrics.AVERAGED, *AUDITED)
+"""A cell's numbers."""
+
+
 def measure(trace: Trace) -> Measures:
-    """A cell's numbers: ``queries``, `metrics.AVERAGED` and `AUDITED`, plain Python values.
+    """The numbers of `MEASURED`, plain Python values.
 
     A technique that is never right is part of simulated routes: its AUC is 0 without a warning.
     """
@@ -195,7 +199,4 @@ def measure(trace: Trace) -> Measures:
         row = metrics.summarise(trace)
     held = audit(trace)
     estimated = dict.fromkeys(AUDITED) if held is None else {**held._asdict(), "gap": held.gap}
-    return {
-        **{name: row[name] for name in ("queries", *metrics.AVERAGED)},
-        **{name: estimated[name] for name in AUDITED},
-    }
+    return {name: (estimated if name in AUDITED else row)[name] for name in MEASURED}

@@ -12,6 +12,7 @@ from amusic_gym.plots import labels
 from amusic_gym.plots.drawing import GREY, Note, figure_at, percent, place_notes
 from amusic_gym.plots.tradeoff import pareto
 from amusic_gym.report import ReportFigure
+from amusic_gym.storage import keep_only
 from amusic_gym.study import cells as kinds
 from amusic_gym.study.findings import Findings
 from amusic_gym.study.plan import MEAN
@@ -56,7 +57,7 @@ class _Style(NamedTuple):
 
 
 def draw(findings: Findings, folder: str | Path) -> list[ReportFigure]:
-    """Write the figures as PNG files to ``folder``.
+    """Write the figures as PNG files to ``folder``; those of an earlier study go.
 
     ``fronts.png``: the mean over routes, or the only route; ``routes.png``: every route, if there
     are several, `ROUTES_PER_FIGURE` to a file. Policies under another statistic are left out.
@@ -76,6 +77,7 @@ def draw(findings: Findings, folder: str | Path) -> list[ReportFigure]:
             where = ", ".join(_where(findings, scope) for scope in scopes)
             caption = f"AUC against compute: {where}; {_bands(findings, scopes)}."
             figures.append(ReportFigure(path, caption))
+    keep_only(folder, "study's figures", [figure.path for figure in figures])
     return figures
 
 

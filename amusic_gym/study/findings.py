@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from amusic_gym import __version__, bounds, metrics
+from amusic_gym.storage import write_whole
 from amusic_gym.study import cells as kinds
 from amusic_gym.study.audits import audit_rows
 from amusic_gym.study.cells import AUDITED, front_of
@@ -26,7 +27,6 @@ from amusic_gym.study.fronts import (
 )
 from amusic_gym.study.plan import MEAN, Plan
 from amusic_gym.study.run import Finished, Row
-from amusic_gym.trace import write_whole
 
 RESULTS = "study.json"
 FORMAT_VERSION = 3

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
-from amusic_gym import comparison_files
+from amusic_gym.bank_files import refuse_within_bank
 from amusic_gym.extraction.executors import make_executor
 from amusic_gym.study import store
 from amusic_gym.study.cells import Cell, Measures
@@ -36,13 +36,13 @@ def run(
         report: is given one line per finished cell.
 
     Raises:
-        ValueError: for an unknown executor.
+        ValueError: for an unknown executor, or an ``out`` in the folder of a bank.
         ChildProcessError: when workers die of the same cell again and again.
     """
     where = make_executor(executor)
     folder = Path(out) / store.FOLDER
+    refuse_within_bank(folder)
     folder.mkdir(parents=True, exist_ok=True)  # fails before hours of work, not after them
-    comparison_files.sweep(folder)
     done = _load(plan, folder, report)
     missing = list({cell.path: cell for cell in plan.cells if cell.path not in done}.values())
     progress = _Progress(len(missing), sum(cell.size for cell in missing), report)

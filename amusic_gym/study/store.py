@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from amusic_gym.comparison_files import read_checked
 from amusic_gym.extraction.code import key_of
 from amusic_gym.imports import PACKAGE, digest_of, source_files
-from amusic_gym.study.cells import Measures
-from amusic_gym.trace import write_whole
+from amusic_gym.storage import write_whole
+from amusic_gym.study.cells import MEASURED, Measures
 
 FORMAT_VERSION = 3
 
@@ -52,13 +53,12 @@ def load(folder: Path, stem: str) -> Measures | None:
         ValueError: when the file is damaged.
     """
     path = folder / f"{stem}.json"
-    if not path.exists():
+    body = read_checked(path, lambda body: key_of(**body))
+    if body is None:
         return None
-    try:
-        body = json.loads(path.read_bytes())
-        if body.pop("checksum") != key_of(**body) or body["cell"] != stem:
-            raise ValueError("its checksum differs")
-        measures: Measures = body["measures"]
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ValueError(f"{path} is damaged ({error}); delete it") from None
-    return measures
+    measures = body.get("measures")
+    numbers: Measures = measures if isinstance(measures, dict) else {}
+    plain = all(isinstance(value, int | float | None) for value in numbers.values())
+    if body.get("cell") != stem or set(numbers) != set(MEASURED) or not plain:
+        raise ValueError(f"{path} is damaged (it holds other numbers than a cell's); delete it")
+    return numbers

@@ -12,12 +12,12 @@ from amusic_gym.escaping import for_markdown
 from amusic_gym.marks import footnote, marked
 from amusic_gym.plots.labels import policy_label
 from amusic_gym.settings import statistic_label
+from amusic_gym.storage import write_whole
 from amusic_gym.study.cells import FRONTS, NAMES
 from amusic_gym.study.findings import SHOWN_COMPUTES, Findings, ahead
 from amusic_gym.study.fronts import BAND, ROUNDING
 from amusic_gym.study.plan import MEAN
 from amusic_gym.study.run import Row
-from amusic_gym.trace import write_whole
 
 TABLES = "tables.md"
 

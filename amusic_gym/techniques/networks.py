@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812 (its usual name)
 
+from amusic_gym.checks import whole
+
 Stages: TypeAlias = tuple[tuple[int, ...], ...]
 Network = TypeVar("Network", bound=nn.Module)
 
@@ -88,8 +90,7 @@ class NetVLADWidths:
             raise ValueError(f"stages are {self.stages!r}; give channels for each stage")
         sizes = [*(width for stage in self.stages for width in stage), self.clusters]
         for size in sizes if self.whitened is None else [*sizes, self.whitened]:
-            if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= WIDEST:
-                raise ValueError(f"a layer's size is {size!r}; give a whole number 1 to {WIDEST}")
+            whole("a layer's size", size, 1, most=WIDEST)
 
     @property
     def channels(self) -> int:

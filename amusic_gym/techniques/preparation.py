@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from amusic_gym.checks import whole
 from amusic_gym.names import suggest
 from amusic_gym.techniques.protocol import Image
 
@@ -51,9 +52,7 @@ class Preparation:
     def __post_init__(self) -> None:
         """Refuse what makes no image."""
         for name in ("width", "height"):
-            size = getattr(self, name)
-            if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= WIDEST:
-                raise ValueError(f"{name} is {size!r}; give a whole number from 1 to {WIDEST}")
+            whole(name, getattr(self, name), 1, most=WIDEST)
         for name in ("mean", "deviation"):
             values = getattr(self, name)
             if len(values) != 3 or not all(math.isfinite(value) for value in values):

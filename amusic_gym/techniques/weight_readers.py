@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.techniques.caffemodel import read_caffemodel
+from amusic_gym.techniques.matfile import TooLargeError, read_matfile
 
 Arrays: TypeAlias = dict[str, NDArray[Any]]
 Reader: TypeAlias = Callable[[bytes], tuple[Arrays, dict[str, str]]]
@@ -84,10 +85,12 @@ def _read_torch(data: bytes) -> tuple[Arrays, dict[str, str]]:
             "save the state_dict alone, or convert the file to .safetensors"
         ) from None
     arrays: Arrays = {}
+    left = MOST_BYTES
     for name, value in leaves(content):
         if not isinstance(value, torch.Tensor) or not value.is_floating_point():
             continue
-        if 4 * value.numel() > MOST_BYTES:  # one number repeated in memory may claim any size
+        left -= 4 * value.numel()
+        if left < 0:  # one number repeated in memory may claim any size
             raise RefusalError(f"claims {value.numel()} numbers for {name}; save the weights alone")
         arrays[name] = value.detach().to_dense().float().numpy()
     return arrays, {}
@@ -121,21 +124,19 @@ def _read_onnx(data: bytes) -> tuple[Arrays, dict[str, str]]:
 
 
 def _read_matlab(data: bytes) -> tuple[Arrays, dict[str, str]]:
-    from scipy.io import loadmat
-
+    if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
+        raise RefusalError("is a MATLAB 7.3 file; save it with -v7")
     try:
-        content = loadmat(io.BytesIO(data), struct_as_record=False)
-    except NotImplementedError:
-        raise RefusalError("is a MATLAB 7.3 file; save it with -v7") from None
-    found = leaves({name: value for name, value in content.items() if name[:2] != "__"})
+        found = leaves(read_matfile(data, MOST_BYTES))
+    except TooLargeError:
+        raise RefusalError(
+            f"unpacks to more than {MOST_BYTES} bytes; save the weights alone"
+        ) from None
     return {name: value for name, value in found if isinstance(value, np.ndarray)}, {}
 
 
 def leaves(value: Any, name: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """Arrays and other values of nested dictionaries, lists and MATLAB structures.
-
-    Names are joined by dots; MATLAB's cells count from 0, a cell of one item has no number.
-    """
+    """Arrays and other values of nested dictionaries and lists; names are joined by dots."""
     items: Iterator[tuple[Any, Any]]
     if depth > 20:
         raise RefusalError("is nested too deeply; save the weights alone")
@@ -143,13 +144,6 @@ def leaves(value: Any, name: str = "", depth: int = 0) -> Iterator[tuple[str, An
         items = iter(value.items())
     elif isinstance(value, list | tuple):
         items = enumerate(value)
-    elif hasattr(value, "_fieldnames"):
-        items = ((field, getattr(value, field)) for field in value._fieldnames)
-    elif isinstance(value, np.ndarray) and value.dtype == object:
-        if value.size == 1:
-            yield from leaves(value.item(), name, depth + 1)
-            return
-        items = enumerate(value.ravel())
     else:
         yield name, value
         return

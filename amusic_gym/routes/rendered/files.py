@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import secrets
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -13,6 +11,7 @@ from pathlib import Path
 
 import cv2
 
+from amusic_gym import storage
 from amusic_gym.checks import whole
 from amusic_gym.routes.rendered.conditions import REFERENCE, look_at
 from amusic_gym.routes.rendered.film import Image
@@ -32,8 +31,6 @@ SETTINGS = "render.json"
 
 VERSION = 1
 """Raised when the same settings begin to give other pictures."""
-
-_TEMPORARY = ".render-"
 
 
 @dataclass(frozen=True)
@@ -127,10 +124,8 @@ def _write(folder: Path, settings: Settings, world: World) -> Iterator[Path]:
     digits = max(4, len(str(settings.places - 1)))
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with _locked(folder):
+        with storage.locked(folder):  # another writer waits, then finds the images there
             _refuse_others(folder, settings)
-            for left in folder.glob(f"{_TEMPORARY}*"):
-                left.unlink()
             text = json.dumps(asdict(settings), indent=1) + "\n"
             _place(folder / SETTINGS, text.encode())
             for place in range(settings.places):
@@ -171,16 +166,10 @@ def is_whole(path: Path) -> bool:
 
 def _place(path: Path, data: bytes) -> None:
     """Write a file that takes its name only when all of it is on the disk."""
-    temporary = path.parent / f"{_TEMPORARY}{secrets.token_hex(8)}"
-    try:
-        with temporary.open("xb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
+    with storage.replacing_file(path) as temporary, temporary.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def _refuse_others(folder: Path, settings: Settings) -> None:
@@ -193,7 +182,7 @@ def _refuse_others(folder: Path, settings: Settings) -> None:
         return
     if not folder.is_dir():
         raise ValueError(f"{folder} is a file; choose another folder")
-    found = [entry.name for entry in folder.iterdir() if not entry.name.startswith(_TEMPORARY)]
+    found = [entry.name for entry in folder.iterdir() if not storage.is_unfinished(entry)]
     if not found:
         return
     if SETTINGS not in found:
@@ -201,7 +190,7 @@ def _refuse_others(folder: Path, settings: Settings) -> None:
             f"{folder} holds other files ({min(found)}) and no {SETTINGS}; choose another folder"
         )
     try:
-        before = Settings(**json.loads((folder / SETTINGS).read_text("utf-8")))
+        before = Settings(**storage.read_json(folder / SETTINGS, "render it again"))
         earlier = whole("places", before.places, 1)
     except (ValueError, TypeError):
         raise ValueError(
@@ -224,20 +213,3 @@ def _refuse_others(folder: Path, settings: Settings) -> None:
             f"{folder} was rendered with {earlier} places and has shorter file names than "
             f"{settings.places} need; choose another folder"
         )
-
-
-@contextlib.contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """One writer at a time; another waits, then finds the images there."""
-    try:
-        import fcntl
-    except ImportError:  # a system without such locks: writers go on without
-        yield
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        with contextlib.suppress(OSError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(descriptor)
