@@ -28,6 +28,9 @@ COST_MODELS = ("measured", "paper", "runs")
 PAPER_SECONDS = {"HOG": 0.045, "CALC": 0.165, "CoHOG": 0.707, "NetVLAD": 0.722}
 """Seconds per frame, averaged over the paper's data sets (A-MuSIC, last column of the table)."""
 
+SHORTEST, LONGEST = 1e-12, 1e12
+"""Seconds of one run: sums and ratios of these are exact enough, and never infinite."""
+
 _preparing = threading.Lock()
 """Environments in several threads that share a bank share what is prepared of it, too."""
 
@@ -234,19 +237,21 @@ class ScoreBank:
             ValueError: when it is damaged or from a newer format.
         """
         files = bank_files.read(Path(path), verify=verify)
-        names = check_names([name for name, _ in files.techniques], len(files.scores))
-        seconds = check_seconds([second for _, second in files.techniques], names)
         bank = cls.__new__(cls)
-        bank._set(
-            files.scores,
-            names,
-            seconds,
-            files.tolerance,
-            files.truth,
-            files.name or files.path.name,
-            files.source,
-            files.costs,
-        )
+        try:
+            names = check_names([name for name, _ in files.techniques], len(files.scores))
+            bank._set(
+                files.scores,
+                names,
+                check_seconds([second for _, second in files.techniques], names),
+                files.tolerance,
+                files.truth,
+                files.name or files.path.name,
+                files.source,
+                files.costs,
+            )
+        except ValueError as error:
+            raise ValueError(f"bank {files.path}: {error}") from None
         bank.path = files.path
         bank._fingerprint = files.fingerprint
         return bank
@@ -341,9 +346,10 @@ def check_seconds(seconds: ArrayLike, techniques: Sequence[str]) -> NDArray[np.f
             f"{len(techniques)} techniques"
         )
     for name, value in zip(techniques, array, strict=True):
-        if not (np.isfinite(value) and value > 0):
+        if not SHORTEST <= value <= LONGEST:
             raise ValueError(
-                f"seconds of technique {name!r} are {value}; give a finite number above 0"
+                f"seconds of technique {name!r} are {value}; give a finite number above 0, from "
+                f"{SHORTEST:g} to {LONGEST:g}"
             )
     return _read_only(array)
 

@@ -6,9 +6,10 @@ import hashlib
 import json
 import math
 import os
+import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from io import BufferedReader
+from io import BufferedReader, BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym import storage
-from amusic_gym.ground_truth import GroundTruth, whole_number
+from amusic_gym.checks import number
+from amusic_gym.ground_truth import GroundTruth, check_tolerance, whole_number
 
 FORMAT_VERSION = 1
 MANIFEST, SCORES, TRUTH = "bank.json", "scores.npy", "ground_truth.npz"
 
 FILES = frozenset((MANIFEST, SCORES, TRUTH))
+_MOST_MANIFEST, _MOST_HEADERS = 2**24, 2**16  # bytes; of ground_truth.npz beside its numbers
 _READ_ATTEMPTS = 20
 _REBUILD = "copy the bank again or build it anew with scripts/bank.py"
 
@@ -148,41 +151,42 @@ def read(path: Path, *, verify: bool) -> BankFiles:
 def _read_once(folder: storage.FolderReader, verify: bool) -> BankFiles:
     path = folder.path
     try:
-        with folder.open(MANIFEST) as file:
-            manifest = _parse_manifest(path / MANIFEST, file.read())
+        manifest = _parse_manifest(path / MANIFEST, folder.read(MANIFEST, _MOST_MANIFEST))
     except FileNotFoundError:
         raise FileNotFoundError(
             f"{path} has no {MANIFEST}, so it is not a whole bank; {_REBUILD}"
         ) from None
     try:
         checksums = {name: str(manifest["files"][name]["sha256"]) for name in (SCORES, TRUTH)}
-        techniques = [(str(t["name"]), float(t["seconds"])) for t in manifest["techniques"]]
-        shape = (len(techniques), int(manifest["queries"]), int(manifest["references"]))
-        tolerance = whole_number(manifest["tolerance"], "tolerance", at_least=0)
+        techniques = [
+            (each["name"], number("seconds", each["seconds"], "a number above 0"))
+            for each in manifest["techniques"]
+        ]
+        queries, references = (
+            whole_number(manifest[key], key, at_least=1) for key in ("queries", "references")
+        )
+        tolerance = check_tolerance(manifest["tolerance"])
         name, source, costs, fingerprint = (
             str(manifest[key]) for key in ("name", "source", "costs", "sha256")
         )
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise ValueError(
-            f"{path / MANIFEST} lacks an entry or has one of another kind ({error}); {_REBUILD}"
+            f"{path / MANIFEST} lacks an entry or has a wrong one ({error}); {_REBUILD}"
         ) from None
-    with folder.open(TRUTH) as file:
-        _compare(file, path / TRUTH, checksums[TRUTH])
-        truth = _read_truth(file, path / TRUTH, shape)
+    shape = (len(techniques), queries, references)
     with folder.open(SCORES) as file:
         scores = _map_scores(file, path / SCORES, shape)
         if verify:
-            _compare(file, path / SCORES, checksums[SCORES])
+            _compare(storage.sha256(file), path / SCORES, checksums[SCORES])
+    most = 8 * (queries + 2 + queries * references) + _MOST_HEADERS
+    content = folder.read(TRUTH, most)
+    _compare(hashlib.sha256(content).hexdigest(), path / TRUTH, checksums[TRUTH])
+    truth = _read_truth(content, path / TRUTH, shape)
     return BankFiles(path, scores, truth, techniques, tolerance, name, source, costs, fingerprint)
 
 
 def _parse_manifest(path: Path, content: bytes) -> dict[str, Any]:
-    try:
-        parsed = json.loads(content.decode("utf-8"))
-    except (ValueError, RecursionError):
-        what = "is not whole JSON" if content.strip() else "is empty"
-        raise ValueError(f"{path} {what}; {_REBUILD}") from None
-    manifest: dict[str, Any] = parsed if isinstance(parsed, dict) else {}
+    manifest = storage.parse_json(content, path, _REBUILD)
     version = manifest.get("format_version")
     if not isinstance(version, int) or version < 1:
         raise ValueError(f"{path} names no format version; {_REBUILD}")
@@ -240,10 +244,12 @@ def _map_scores(
     return np.memmap(file, header.dtype, "r", header.offset, header.shape).view(np.ndarray)
 
 
-def _read_truth(file: BufferedReader, path: Path, shape: tuple[int, int, int]) -> GroundTruth:
-    file.seek(0)
+def _read_truth(content: bytes, path: Path, shape: tuple[int, int, int]) -> GroundTruth:
     try:
-        with np.load(file, allow_pickle=False) as arrays:
+        with zipfile.ZipFile(BytesIO(content)) as archive:
+            if any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist()):
+                raise ValueError("compressed, which no bank's is")
+        with np.load(BytesIO(content), allow_pickle=False) as arrays:
             truth = GroundTruth(arrays["indptr"], arrays["places"], arrays["references"].item())
     except Exception as error:  # a damaged zip raises nearly anything
         raise ValueError(f"{path} cannot be read ({error}); {_REBUILD}") from None
@@ -255,6 +261,6 @@ def _read_truth(file: BufferedReader, path: Path, shape: tuple[int, int, int]) -
     return truth
 
 
-def _compare(file: BufferedReader, path: Path, checksum: str) -> None:
-    if storage.sha256(file) != checksum:
+def _compare(found: str, path: Path, checksum: str) -> None:
+    if found != checksum:
         raise ValueError(f"{path} is damaged: its checksum differs; {_REBUILD}")

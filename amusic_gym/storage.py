@@ -6,10 +6,12 @@ import contextlib
 import ctypes
 import errno
 import hashlib
+import json
 import math
 import os
 import secrets
 import shutil
+import stat
 import sys
 import warnings
 from collections.abc import Iterator
@@ -50,6 +52,8 @@ def read_npy_header(file: BufferedReader, path: Path) -> NpyHeader:
                 shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
             else:
                 shape, fortran, dtype = np.lib.format.read_array_header_2_0(file)
+        if not all(0 <= size < 2**63 for size in shape):
+            raise ValueError(shape)
     except Exception:  # garbage raises nearly anything: tokens, syntax, values, recursion
         size = os.fstat(file.fileno()).st_size
         what = "is empty" if size == 0 else "is not a NumPy .npy file (or its header is damaged)"
@@ -86,13 +90,87 @@ def read_array(path: str | os.PathLike[str]) -> NDArray[Any]:
     return array
 
 
-def open_file(path: Path) -> BufferedReader:
-    """``path`` open for reading, or a sentence that says why not."""
-    if not path.exists():
-        raise FileNotFoundError(f"{path} does not exist; check the name")
-    if path.is_dir():
-        raise ValueError(f"{path} is a folder; give a file")
-    return path.open("rb")
+def open_file(path: Path, folder: int | None = None) -> BufferedReader:
+    """The regular file ``path`` open for reading: a pipe would be waited for, a device never end.
+
+    Args:
+        path: the file.
+        folder: descriptor of the folder to find its name in; None: wherever ``path`` says.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: for a folder, a pipe, a socket or a device.
+    """
+
+    def opener(name: str, flags: int) -> int:
+        return os.open(name, flags | getattr(os, "O_NONBLOCK", 0), dir_fd=folder)
+
+    try:
+        file = open(path if folder is None else path.name, "rb", opener=opener)
+    except (FileNotFoundError, NotADirectoryError):
+        raise FileNotFoundError(f"{path} does not exist; check the name") from None
+    except IsADirectoryError:
+        raise ValueError(f"{path} is a folder; give a file") from None
+    except OSError as error:
+        if error.errno != errno.ENXIO:  # of a socket
+            raise
+    else:
+        if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            return file
+        file.close()
+    raise ValueError(f"{path} is a device or a pipe; give a regular file")
+
+
+def read_regular(path: Path, limit: int, folder: int | None = None) -> bytes:
+    """Content of a regular file of at most ``limit`` bytes; arguments as of `open_file`.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: for what is no regular file, or a larger one.
+    """
+    with open_file(path, folder) as file:
+        content = file.read(limit + 1)
+    if len(content) > limit:
+        raise ValueError(
+            f"{path} has more than the {limit} bytes that such a file may have; check that it is "
+            "the right one"
+        )
+    return content
+
+
+def parse_json(content: bytes, path: Path, mend: str) -> dict[str, Any]:
+    """The object that a JSON file holds; every number in it is finite as a float64.
+
+    Args:
+        content: of the file.
+        path: of the file, for messages.
+        mend: what to do about a damaged one, for messages.
+
+    Raises:
+        ValueError: for anything else, also for what is nested too deep.
+    """
+
+    def finite(text: str) -> float:
+        number = float(text)
+        if not math.isfinite(number):
+            raise ValueError(text)
+        return number
+
+    def whole(text: str) -> int:
+        finite(text)
+        return int(text)
+
+    try:
+        parsed = json.loads(
+            content.decode("utf-8"), parse_int=whole, parse_float=finite, parse_constant=finite
+        )
+        json.dumps(parsed)  # what can be read may still be too deep to be written
+    except (ValueError, RecursionError):
+        what = "is not whole JSON of finite numbers" if content.strip() else "is empty"
+        raise ValueError(f"{path} {what}; {mend}") from None
+    if not isinstance(parsed, dict):
+        raise ValueError(f"{path} holds no JSON object; {mend}")
+    return parsed
 
 
 def sha256(file: BufferedReader) -> str:
@@ -123,22 +201,12 @@ class FolderReader:
             raise ValueError(f"{path} is a file; give a folder") from None
 
     def open(self, name: str) -> BufferedReader:
-        """The folder's file ``name``, open for reading.
+        """The folder's file ``name``, open for reading; raises as :func:`open_file`."""
+        return open_file(self.path / name, self._descriptor)
 
-        Raises:
-            FileNotFoundError: when the folder holds no such file.
-        """
-
-        def opener(name: str, flags: int) -> int:
-            where = name if self._descriptor is not None else os.path.join(self.path, name)
-            return os.open(where, flags, dir_fd=self._descriptor)
-
-        try:
-            return open(name, "rb", opener=opener)
-        except FileNotFoundError:
-            raise FileNotFoundError(f"{self.path / name} does not exist; copy it again") from None
-        except IsADirectoryError:
-            raise ValueError(f"{self.path / name} is a folder; a file is expected") from None
+    def read(self, name: str, limit: int) -> bytes:
+        """Content of the folder's file ``name``; raises as :func:`read_regular`."""
+        return read_regular(self.path / name, limit, self._descriptor)
 
     def was_replaced(self) -> bool:
         """Whether the folder's name means another folder by now."""

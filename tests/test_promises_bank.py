@@ -6,8 +6,10 @@ import json
 import os
 import pickle
 import shutil
+import socket
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -171,6 +173,138 @@ def test_23_what_is_no_bank_at_all_is_refused(tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(ValueError, match="file is a file; give a folder"):
         ScoreBank.load(tmp_path / "file")
+
+
+def rewrite(saved: Path, **entries: object) -> None:
+    """Change bank.json as an attacker would: with the right checksums."""
+    manifest = json.loads((saved / "bank.json").read_text()) | entries
+    manifest["files"]["ground_truth.npz"] = bank_files._size_and_checksum(
+        saved / "ground_truth.npz"
+    )
+    manifest["sha256"] = bank_files._checksum(manifest)
+    (saved / "bank.json").write_text(json.dumps(manifest))
+
+
+@pytest.mark.parametrize(
+    ("entries", "sentence"),
+    [
+        ({"tolerance": 2**62}, "tolerance is 4611686018427387904; give at most 2147483647"),
+        ({"tolerance": -1}, "tolerance is -1"),
+        ({"tolerance": True}, "tolerance is True"),
+        ({"tolerance": 10**400}, "is not whole JSON of finite numbers"),
+        ({"queries": "6"}, "queries is '6'"),
+        ({"queries": 0}, "queries is 0"),
+        ({"queries": 2**70}, r"shape \(2, 6, 8\) where"),
+        ({"references": 8.0}, r"references is 8\.0"),
+        ({"costs": "free"}, "unknown cost model 'free'"),
+        ({"techniques": [{"name": 5, "seconds": 1}, {"name": "B", "seconds": 1}]}, "name 5 is"),
+        ({"techniques": [{"name": "A", "seconds": "1"}] * 2}, "seconds is '1'; give a number"),
+        ({"techniques": [{"name": "A", "seconds": 0}, {"name": "B", "seconds": 1}]}, "A' are 0.0"),
+        ({"techniques": [{"name": "A", "seconds": 1e308}] * 2}, "'A' is named twice"),
+        ({"techniques": {"A": 1, "B": 2}}, "lacks an entry or has a wrong one"),
+        ({"techniques": 5}, "lacks an entry or has a wrong one"),
+        ({"format_version": 0}, "names no format version"),
+    ],
+)
+def test_23_every_number_of_a_bank_is_bounded_where_it_is_read(saved, entries, sentence):
+    rewrite(saved, **entries)
+    with pytest.raises(ValueError, match=sentence) as refused:
+        ScoreBank.load(saved)
+    assert str(saved) in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b'{"format_version": Infinity}',
+        b'{"format_version": 1e999}',
+        b'{"format_version": ' + b"9" * 5000 + b"}",
+        b'{"a": ' * 100_000,
+        b'{"a": ' * 900 + b"1" + b"}" * 900,
+        b"[" * 3000 + b"]" * 3000,
+        b"[]",
+        b"\xff",
+    ],
+)
+def test_23_odd_json_is_refused_in_a_sentence(saved, text):
+    (saved / "bank.json").write_bytes(text)
+    with pytest.raises(
+        ValueError, match=r"bank\.json (is not|holds no|names no|was damaged).*; copy"
+    ):
+        ScoreBank.load(saved)
+
+
+@pytest.mark.parametrize("name", sorted(bank_files.FILES))
+@pytest.mark.parametrize("kind", ["fifo", "/dev/zero", "socket"])
+def test_23_what_is_no_regular_file_is_refused_at_once(saved, name, kind):
+    (saved / name).unlink()
+    match kind:
+        case "fifo":
+            os.mkfifo(saved / name)  # nobody writes to it: reading would wait for ever
+        case "socket":
+            with socket.socket(socket.AF_UNIX) as end:
+                end.bind(os.path.relpath(saved / name))  # such an address is short
+        case _:
+            (saved / name).symlink_to(kind)
+    with pytest.raises(ValueError, match=rf"{name} is a device or a pipe; give a regular file"):
+        ScoreBank.load(saved)
+
+
+@pytest.mark.parametrize("bomb", ["compressed", "larger than any", "long list"])
+def test_23_a_ground_truth_that_unpacks_to_more_is_refused_unread(saved, bomb):
+    truth = saved / "ground_truth.npz"
+    arrays = {"indptr": np.zeros(10**6, np.int64), "places": np.arange(6), "references": 8}
+    if bomb == "compressed":
+        np.savez_compressed(truth, **arrays)
+        assert truth.stat().st_size < 9000
+    elif bomb == "larger than any":
+        np.savez(truth, **arrays)
+    else:
+        with zipfile.ZipFile(truth, "w") as archive:
+            for i in range(1000):
+                archive.writestr(f"{i:060}", b"")
+    rewrite(saved)
+    with pytest.raises(
+        ValueError, match=r"ground_truth.npz (cannot be read \(compr|has more than)"
+    ):
+        ScoreBank.load(saved)
+
+
+@pytest.mark.parametrize("limit", [0, 3, 4])
+def test_23_a_regular_file_is_read_up_to_a_limit(tmp_path, limit):
+    (tmp_path / "x").write_bytes(b"four")
+    if limit == 4:
+        assert storage.read_regular(tmp_path / "x", limit) == b"four"
+        return
+    with pytest.raises(ValueError, match=rf"x has more than the {limit} bytes"):
+        storage.read_regular(tmp_path / "x", limit)
+
+
+def npy(header: str) -> bytes:
+    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode() + bytes(4)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (-1, -1)}",
+        f"{{'descr': '<f4', 'fortran_order': False, 'shape': (0, {2**70})}}",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (1e400,)}",
+        "{'descr': '|V0', 'fortran_order': False, 'shape': (1, 1)}",
+        "{'descr': [('a', '<f4')], 'fortran_order': False, 'shape': (1, 1)}",
+        "{'descr': ('<f4', (2, 2)), 'fortran_order': False, 'shape': (1,)}",
+        "{'descr': '<U1', 'fortran_order': False, 'shape': (1, 1)}",
+        "{'descr': '<c8', 'fortran_order': False, 'shape': (1, 1)}",
+        "[" * 5000,
+        "-" * 5000 + "1",
+    ],
+)
+def test_23_odd_npy_headers_are_refused_in_a_sentence(saved, header):
+    (saved / "scores.npy").write_bytes(npy(header))
+    with pytest.raises(ValueError, match=r"scores.npy .*; \w+"):
+        ScoreBank.load(saved)
+    with pytest.raises(ValueError, match=r"scores.npy .*; \w+"):
+        from_arrays({"A": saved / "scores.npy"}, {"A": 1}, tolerance=0)
 
 
 class Bomb:

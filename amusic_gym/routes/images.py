@@ -87,12 +87,9 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
 
     Raises:
         FileNotFoundError: when there is no such file.
-        ValueError: when it is a folder.
+        ValueError: when it is no regular file.
     """
-    path = Path(path)
-    if not path.is_file() and not path.is_dir() and path.exists():
-        raise ValueError(f"{path} is a device or a pipe; give an image file")
-    with storage.open_file(path) as file:
+    with storage.open_file(Path(path)) as file:
         return file.read()
 
 
