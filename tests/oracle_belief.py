@@ -368,9 +368,10 @@ class Belief:
                 by_kind[t] = likelihoods(self.rates, known, values[t])
                 factors[t] = known.kinds @ by_kind[t]
                 own[t] = own_word(looks * factors[t], row, self.tolerance, known.weight)
-        together = np.ones(self.size)
+        said = np.zeros(self.size)
         for factor in factors.values():
-            together = together * factor
+            said = said + np.log(factor)
+        together = np.exp(said - said.max())  # of many factors the product itself may vanish
         for way, line in self.lines.items():
             off = way[1] if isinstance(way, tuple) else 0
             for place in range(self.size):
@@ -387,8 +388,8 @@ class Belief:
             own[t].trust = 1.0 - known.kinds[0]
             own[t].once, own[t].twice, own[t].fourfold = known.kinds[1:]
         steady = sum(float(line.sum()) for way, line in self.lines.items() if way not in SPEEDS)
-        said = math.fsum(one.said for one in own if one is not None)
-        return Frame(place, share, rival, steady, strange, said, len(factors), places, own)
+        heard = math.fsum(one.said for one in own if one is not None)
+        return Frame(place, share, rival, steady, strange, heard, len(factors), places, own)
 
 
 # ---- routes ------------------------------------------------------------------------------

@@ -51,6 +51,17 @@ def patterned(rng, queries: int, techniques: int, activity: float):
 # ---- explicit loops ----------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("spread", [40, 1])
+def test_13_many_techniques_that_disagree_or_agree_give_finite_numbers(spread):
+    techniques, places = 400, 40
+    scores = np.zeros((techniques, 3, places), np.float32)
+    for query in range(3):
+        scores[np.arange(techniques), query, (np.arange(techniques) + query) % spread] = 1
+    names = [f"T{t}" for t in range(techniques)]
+    bank = ScoreBank(scores, names, np.ones(techniques), tolerance=1, ground_truth=[0, 1, 2])
+    compare(bank, np.ones((3, techniques), bool))
+
+
 @settings(max_examples=40, deadline=None)
 @given(seeds, st.tuples(st.integers(1, 4), st.integers(1, 20)), st.floats(0.1, 1.0), st.booleans())
 def test_filter_is_the_loops_on_noise_and_constant_rows(seed, size, activity, fitted):
