@@ -48,7 +48,8 @@ class ScoreBank:
         techniques: T different names, in the order of the scores.
         seconds: (T,) seconds of one run of each technique on one frame, > 0.
         tolerance: places to either side of the true one that count as right. None only where
-            ``ground_truth`` lists the true places itself: then half their median span.
+            ``ground_truth`` lists the true places itself: then half the median run of neighbours
+            among them.
         ground_truth: None (query q is at place q) | (Q, R) boolean | (Q,) integer places, -1 for
             a query without a true place | GroundTruth.
         name: what to call the bank in tables; by default, its folder's name once on disk.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from amusic_gym import storage
 from amusic_gym.bank import ScoreBank, check_names
 from amusic_gym.ground_truth import GroundTruth
 from amusic_gym.names import suggest
+from amusic_gym.truth_files import order_of, read_truth, unpickle
 
 VPRBENCH_MATCHES = "precomputed_data_corrected.npy"
 """The file that VPR-Bench keeps in each technique's folder."""
@@ -38,7 +38,7 @@ def from_arrays(
         files: technique name -> .npy file, (Q, R) numbers, higher = more similar.
         seconds: technique name -> seconds of one run on one frame.
         tolerance: see `ScoreBank`.
-        ground_truth: as for `ScoreBank`, or the .npy file that holds it.
+        ground_truth: as for `ScoreBank`, or a file: see :func:`amusic_gym.truth_files.read_truth`.
         name: what to call the bank in tables.
         source: where the scores come from; by default, the files' names.
 
@@ -50,7 +50,7 @@ def from_arrays(
     matrices = [_score_matrix(storage.read_array(path), path) for path in files.values()]
     _check_same_shape(names, matrices)
     if isinstance(ground_truth, str | os.PathLike):
-        ground_truth = storage.read_array(ground_truth)
+        ground_truth = read_truth(ground_truth, *matrices[0].shape, tolerance=tolerance)
     return ScoreBank(
         np.stack(matrices),
         names,
@@ -113,8 +113,8 @@ def from_vprbench(
         directory: the folder with one folder per technique (VPR-Bench's ``precomputed_matches``,
             or the data set's folder that holds it).
         techniques: which of them, in the bank's order.
-        ground_truth: VPR-Bench's ground truth file (query id, list of true places), or any form
-            that `from_arrays` takes.
+        ground_truth: VPR-Bench's file (query id, list of true places), or any form that
+            `from_arrays` takes.
         trust: True to unpickle these files.
         tolerance: see `ScoreBank`.
         name: what to call the bank in tables.
@@ -134,7 +134,9 @@ def from_vprbench(
     _check_same_shape(names, [scores for scores, _ in matches])
     queries, references = matches[0][0].shape
     if isinstance(ground_truth, str | os.PathLike):
-        ground_truth = read_ground_truth(Path(ground_truth), trust, queries, references)
+        ground_truth = read_truth(
+            ground_truth, queries, references, tolerance=tolerance, trust=trust
+        )
     return ScoreBank(
         np.stack([scores for scores, _ in matches]),
         names,
@@ -189,30 +191,9 @@ def _matches_folder(directory: Path) -> Path:
     return folder
 
 
-def _unpickle(path: Path, trust: bool) -> NDArray[Any]:
-    """The object array of a VPR-Bench file; executes what the pickle says."""
-    with storage.open_file(path) as file:
-        storage.read_npy_header(file, path)  # no bare pickle: only what VPR-Bench writes
-        if not trust:
-            raise ValueError(
-                f"{path} holds pickled Python objects, which can run code when read; if you "
-                "trust who made it, pass trust=True (--trust)"
-            )
-        file.seek(0)
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # NumPy on pickles of Python 2
-                array: NDArray[Any] = np.load(file, allow_pickle=True, encoding="latin1")
-        except Exception as error:  # a damaged pickle raises nearly anything
-            raise ValueError(
-                f"{path} cannot be unpickled ({type(error).__name__}: {error}); copy it again"
-            ) from None
-    return array
-
-
 def _read_matches(path: Path, trust: bool) -> tuple[NDArray[np.float32], float]:
     """Scores (Q, R) in the order of the query ids, and seconds of one run."""
-    items = _unpickle(path, trust)
+    items = unpickle(path, trust)
     try:
         ids = np.asarray(items[0], dtype=np.int64)
         scores = _score_matrix(np.asarray(list(items[3]), dtype=np.float64), path)
@@ -222,49 +203,4 @@ def _read_matches(path: Path, trust: bool) -> tuple[NDArray[np.float32], float]:
             f"{path} is not laid out as VPR-Bench's matches are (query ids, best reference, best "
             f"score, score rows, encode seconds, match seconds): {error}"
         ) from None
-    return scores[_order_of(ids, len(scores), path)], encode + scores.shape[1] * match
-
-
-def read_ground_truth(
-    path: Path, trust: bool, queries: int, references: int
-) -> NDArray[Any] | GroundTruth:
-    """Ground truth from a plain .npy file, or from VPR-Bench's (query id, list of true places).
-
-    Args:
-        path: the file.
-        trust: True to unpickle it, which VPR-Bench's needs.
-        queries: Q, as many different query ids as the file must hold.
-        references: R, places on the map.
-
-    Raises:
-        FileNotFoundError: when there is no such file.
-        ValueError: for VPR-Bench's file without ``trust``, or a file of another layout.
-    """
-    with storage.open_file(path) as file:
-        pickled = storage.read_npy_header(file, path).dtype.hasobject
-    if not pickled:
-        return storage.read_array(path)
-    rows = _unpickle(path, trust)
-    try:
-        ids = np.asarray([row[0] for row in rows], dtype=np.int64)
-        places = [np.unique(np.asarray(row[1], dtype=np.int64)) for row in rows]
-    except (IndexError, TypeError, ValueError) as error:
-        raise ValueError(
-            f"{path} is not laid out as VPR-Bench's ground truth is (query id, list of true "
-            f"places): {error}"
-        ) from None
-    order = _order_of(ids, queries, path)
-    counts = [len(places[row]) for row in order]
-    indptr = np.concatenate([[0], np.cumsum(counts)])
-    return GroundTruth(indptr, np.concatenate([places[row] for row in order]), references)
-
-
-def _order_of(ids: NDArray[np.int64], queries: int, path: Path) -> NDArray[np.int64]:
-    """Rows by rising query id: SIC needs the frames in the order of the traverse."""
-    if ids.shape != (queries,) or len(np.unique(ids)) != queries:
-        raise ValueError(
-            f"{path} has query ids of shape {ids.shape} with {len(np.unique(ids))} different "
-            f"ones where {queries} are expected; it is damaged or of another data set"
-        )
-    order: NDArray[np.int64] = np.argsort(ids)
-    return order
+    return scores[order_of(ids, len(scores), path)], encode + scores.shape[1] * match

@@ -111,9 +111,12 @@ def _folders(args: argparse.Namespace) -> _Route:
     elif args.truth_by == "position":
         metres = {} if args.metres is None else {"metres": args.metres}
         truth = by_position(reference, query, **metres)
+        if args.tolerance is not None:
+            truth = truth.with_tolerance(args.tolerance)
+    elif args.truth_by == "name":
+        truth = by_name(reference, query, args.tolerance)
     else:
-        by = by_name if args.truth_by == "name" else by_index
-        truth = by(reference, query, args.tolerance)
+        truth = by_index(reference, query, args.tolerance, exact=args.truth_by is None)
     return _Route(reference, query, truth, args.tolerance, "")
 
 
@@ -188,15 +191,16 @@ def add_images(commands: Any) -> Parser:
     add(
         "--truth-by",
         choices=TRUTH_BY,
-        help="frame q is at place q (index, the default); at the image with the same name; or "
-        "near images by @UTM_EAST@UTM_NORTH@ in their names",
+        help="frame q is at place q (index, the default where there are as many); at the image "
+        "with the same name; or near images by @UTM_EAST@UTM_NORTH@ in their names",
     )
     add("--metres", type=float, metavar="M", help="how near, with --truth-by position")
     add(
         "--ground-truth",
         type=Path,
         metavar="FILE",
-        help=".npy or text: a boolean matrix, one place per query, or pairs below 'query,place'",
+        help=".npy or text: a boolean matrix, one place per query, or pairs of numbers or file "
+        "names below 'query,place'",
     )
     add("--trust", action="store_true", help="unpickle a ground truth file of VPR-Bench")
     add(

@@ -114,9 +114,9 @@ def _parser() -> Parser:
     one.add_argument(
         "--ground-truth",
         type=Path,
-        metavar="FILE.npy",
-        help="boolean [query, reference], or one true place per query (-1: none); "
-        "without it, query q is at place q",
+        metavar="FILE",
+        help=".npy or text: boolean [query, reference], one true place per query (-1: none), or "
+        "pairs below 'query,place'; without it, query q is at place q",
     )
 
     two = commands.add_parser("vprbench", help="from VPR-Bench's precomputed matches")
@@ -135,7 +135,8 @@ def _parser() -> Parser:
             "--tolerance",
             type=int,
             metavar="N",
-            help="places to either side of the true one that count as right",
+            help="places to either side of the true one that count as right; not where the ground "
+            "truth lists them itself",
         )
         each.add_argument("--name", help="what to call it in tables (default: --out's name)")
 

@@ -102,13 +102,16 @@ def route_of(
 ) -> LiveRoute:
     """The live route; costs that are not given are measured."""
     options: dict[str, Any] = {"tolerance": args.tolerance, "places": places}
+    if args.tolerance is None and args.ground_truth is None:
+        options["tolerance"] = TOLERANCE
     if args.ground_truth is not None:
         if not isinstance(frames, ImageSequence):
             raise ValueError("--ground-truth needs a --query whose length is known: a folder")
         folder = frames.images
         assert isinstance(folder, ImageFolder)
-        truth = from_file(args.ground_truth, places, folder, args.tolerance)
-        options["ground_truth"] = truth
+        options["ground_truth"] = from_file(
+            args.ground_truth, places, folder, args.tolerance, args.trust, default=TOLERANCE
+        )
     given = seconds_of(args.seconds, tuple(one.technique.name for one in maps))
     if len(given) == len(maps):
         return LiveRoute(maps, frames, seconds=[given[t] for t in range(len(maps))], **options)
@@ -161,7 +164,8 @@ def check(args: argparse.Namespace) -> None:
     if args.frames is not None:
         args.frames = min(whole("--frames", args.frames, 1), sys.maxsize)
     whole("--seed", args.seed, 0)
-    check_tolerance(args.tolerance)
+    if args.tolerance is not None:
+        check_tolerance(args.tolerance)
     inputs = {"--query": args.query, "--ground-truth": args.ground_truth}
     check_outputs({"--trace": args.trace, "--video": args.video}, inputs)
 
@@ -258,10 +262,10 @@ def _parser() -> Parser:
     add(
         "--tolerance",
         type=int,
-        default=TOLERANCE,
         metavar="N",
         help="how many places apart two matches may be and still count as the same place"
-        " (default: %(default)s); with --ground-truth also how far off a match is still right",
+        f" (default: {TOLERANCE}, or what the ground truth lists); with --ground-truth of one"
+        " place per frame also how far off a match is still right",
     )
     add(
         "--ground-truth",
@@ -269,6 +273,7 @@ def _parser() -> Parser:
         metavar="FILE",
         help="the true places: only with them are matches shown as right or wrong",
     )
+    add("--trust", action="store_true", help="unpickle a ground truth file of VPR-Bench")
     add("--cache", type=Path, metavar="DIR", help="where descriptors of the map are kept")
     add("--trace", type=Path, metavar="FILE.csv", help="write a line per frame")
     add("--video", type=Path, metavar="FILE.mp4|.avi", help="write the picture of every frame")

@@ -44,7 +44,8 @@ def random_bank(
     skill = rng.uniform(0.5, 2.5, (techniques, 1, 1))
     scores = np.round(levels / 6 * (noise + skill * near))
     names = names or [f"T{t}" for t in range(techniques)]
-    options = {"tolerance": 2, "name": f"bank{seed}", **options}
+    truth = np.minimum(np.arange(queries), references - 1)
+    options = {"tolerance": 2, "name": f"bank{seed}", "ground_truth": truth, **options}
     return ScoreBank(scores, names, np.linspace(1.0, 3.0, techniques), **options)
 
 

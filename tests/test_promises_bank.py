@@ -25,7 +25,14 @@ ROOT = Path(__file__).resolve().parent.parent
 def make_bank(value: float = 0.0, techniques: int = 2) -> ScoreBank:
     names = [f"T{i}" for i in range(techniques)]
     scores = np.full((techniques, 6, 8), value)
-    return ScoreBank(scores, names, np.ones(techniques), tolerance=1, name="route")
+    return ScoreBank(
+        scores,
+        names,
+        np.ones(techniques),
+        tolerance=1,
+        name="route",
+        ground_truth=np.arange(scores.shape[1]),
+    )
 
 
 @pytest.fixture
@@ -62,7 +69,7 @@ def run_script(*arguments: object) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize("shape", [(1, 1, 1), (2, 1, 5), (3, 1, 1)])
 def test_12_one_query_or_reference_works(shape, tmp_path):
     names = [f"T{i}" for i in range(shape[0])]
-    bank = ScoreBank(np.zeros(shape), names, np.ones(shape[0]), tolerance=3)
+    bank = ScoreBank(np.zeros(shape), names, np.ones(shape[0]), tolerance=3, ground_truth=[0])
     assert bank.shape == ScoreBank.load(bank.save(tmp_path / "b"), verify=True).shape == shape
     assert bank.truth.correct([0]).tolist() == [True]
     assert bank.prepared(50).candidates == shape[2]
@@ -76,7 +83,7 @@ def test_12_zero_of_anything_is_refused(shape):
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
 def test_13_a_score_that_is_not_finite_is_refused_by_technique_and_frame(bad):
-    scores = np.zeros((2, 6, 8))
+    scores = np.zeros((2, 8, 8))
     scores[1, 4, 2] = bad
     with pytest.raises(ValueError, match="technique 'T1' at frame 4, place 2 is"):
         ScoreBank(scores, ["T0", "T1"], [1, 1], tolerance=0)
@@ -365,7 +372,7 @@ if not swap:
     storage._swap = lambda *_: False
 
 def bank(value):
-    return ScoreBank(np.full((2, 6, 8), value), ["A", "B"], [1, 1], tolerance=1)
+    return ScoreBank(np.full((2, 6, 6), value), ["A", "B"], [1, 1], tolerance=1)
 
 def killed_at(call):
     left = [call]
@@ -478,7 +485,7 @@ if not swaps:  # as on file systems that cannot
     storage._swap = lambda *_: False
 
 def bank(value):
-    return ScoreBank(np.full((value, 20, 30), value), [f"{value}-{i}" for i in range(value)],
+    return ScoreBank(np.full((value, 30, 30), value), [f"{value}-{i}" for i in range(value)],
                      np.full(value, value), tolerance=value, name=str(value))
 
 bank(1).save(path)
@@ -501,7 +508,7 @@ while writers:
             raise  # with the swap, the name is never empty
     else:
         value = loaded.tolerance
-        assert loaded.shape == (value, 20, 30) and (loaded.scores == value).all()
+        assert loaded.shape == (value, 30, 30) and (loaded.scores == value).all()
         assert loaded.name == str(value) and (loaded.seconds == value).all()
         seen.add(value)
         reads += 1
