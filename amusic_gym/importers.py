@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym import storage
-from amusic_gym.bank import ScoreBank, check_names
+from amusic_gym.bank import ScoreBank, as_float32, check_names
 from amusic_gym.ground_truth import GroundTruth
 from amusic_gym.names import suggest
 from amusic_gym.truth_files import order_of, read_truth, unpickle
@@ -154,8 +154,7 @@ def _score_matrix(array: NDArray[Any], path: _Path) -> NDArray[np.float32]:
             f"{path} has shape {array.shape} and dtype {array.dtype}; give a matrix "
             "[query, reference] of numbers with at least one of each"
         )
-    with np.errstate(over="ignore"):  # too large for float32 becomes infinite: the bank refuses
-        return array.astype(np.float32)
+    return as_float32(array)
 
 
 def _check_same_shape(names: Sequence[str], matrices: Sequence[NDArray[Any]]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from amusic_gym.bank import floored
 from amusic_gym.policy import Run
 
 RADIUS = 20
@@ -12,8 +13,9 @@ RADIUS = 20
 
 
 def every_row(run: Run, techniques: int) -> NDArray[np.float64]:
-    """(T, R) rows of all techniques, each of which is charged."""
-    return np.stack([run(technique) for technique in range(techniques)]).astype(np.float64)
+    """(T, R) rows of all techniques, each of which is charged; see `floored`."""
+    rows = np.stack([run(technique) for technique in range(techniques)])
+    return floored(rows.astype(np.float64))
 
 
 def standardised(rows: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -52,9 +52,14 @@ def random_bank(
 def noisy_bank(
     rng: np.random.Generator, techniques: int, queries: int, references: int, levels: int = 4
 ) -> ScoreBank:
-    """Scores out of a few whole numbers, some rows constant: ties everywhere."""
+    """Scores out of a few whole numbers, some rows constant: ties everywhere.
+
+    In every second bank some places are no candidates of some rows, and some rows have none.
+    """
     scores = rng.integers(0, levels, (techniques, queries, references)).astype(np.float32)
     scores[rng.random((techniques, queries)) < 0.1] = 3.0
+    if rng.random() < 0.5:
+        scores[rng.random(scores.shape) < rng.random()] = -np.inf
     names = [f"T{t}" for t in range(techniques)]
     seconds, places = rng.uniform(0.1, 2.0, techniques), rng.integers(-1, references, queries)
     return ScoreBank(scores, names, seconds, tolerance=1, ground_truth=places)
