@@ -94,7 +94,13 @@ def _route(args: argparse.Namespace) -> _Route:
 
 def _folders(args: argparse.Namespace) -> _Route:
     from amusic_gym.routes.folders import ImageFolder
-    from amusic_gym.routes.image_truth import by_index, by_name, by_position, from_file
+    from amusic_gym.routes.image_truth import (
+        by_index,
+        by_name,
+        by_position,
+        from_file,
+        warn_of_shared_files,
+    )
 
     _refuse(args, ("root", "images", "first", "step"), "only goes with --dataset")
     if args.metres is not None and args.truth_by != "position":
@@ -106,6 +112,7 @@ def _folders(args: argparse.Namespace) -> _Route:
     if args.tolerance is None and args.ground_truth is None and args.truth_by != "position":
         raise ValueError("give --tolerance N, the places to either side that count as right")
     reference, query = ImageFolder(args.reference), ImageFolder(args.query)
+    warn_of_shared_files(reference, query)
     if args.ground_truth is not None:
         truth = from_file(args.ground_truth, reference, query, args.tolerance, args.trust)
     elif args.truth_by == "position":

@@ -43,7 +43,7 @@ from amusic_gym.pictures.sightings import Pictures
 from amusic_gym.plots.labels import policy_label
 from amusic_gym.policy import Context
 from amusic_gym.routes.folders import ImageFolder
-from amusic_gym.routes.image_truth import from_file
+from amusic_gym.routes.image_truth import from_file, warn_of_shared_files
 from amusic_gym.routes.video import Camera, VideoFile, VideoWriter
 from amusic_gym.settings import STATISTICS, SICSettings
 from amusic_gym.task import RENDER_FPS
@@ -186,6 +186,8 @@ def main(arguments: list[str] | None = None) -> None:
         frames = frames_of(args.query)
         stack.callback(getattr(frames, "close", lambda: None))
         places = ImageFolder(args.reference)
+        if isinstance(frames, ImageSequence) and isinstance(frames.images, ImageFolder):
+            warn_of_shared_files(places, frames.images)
         route = route_of(args, _maps(args, techniques, places, stack), frames, places)
         warm_up(policy, route, places, correction)
         title = f"{route.name}, {policy_label(args.policy)}"

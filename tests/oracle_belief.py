@@ -110,7 +110,7 @@ def clip_place(place: int, size: int) -> int:
 
 
 def candidates(row: Floats) -> Floats:
-    """The scores of a row but -inf, which is of places that are no candidates; (0,) of no others."""
+    """The scores of a row but -inf, which is for no candidate; 0 where there is none."""
     return row[row > -math.inf] if (row > -math.inf).any() else np.zeros(1)
 
 

@@ -116,5 +116,5 @@ def follow(
         route.similarities.append(z[result.technique][q][result.place])
         route.chosen.append(result.technique)
         route.results.append(result)
-        route.others.append(oracle.others(route.results, z, memory, bank.tolerance, bank.scores))
+        route.others.append(oracle.others(route.results, z, memory, bank.tolerance, scores))
     return route

@@ -131,7 +131,7 @@ def test_copies_of_a_true_place_may_count(run, arguments, folders, tmp_path):
     ours = ["--reference", stopped, "--query", stopped, "--tolerance", 0]
     with (
         pytest.warns(UserWarning, match="repeated in frames 1 to 2"),
-        pytest.warns(UserWarning, match="4 of the 4 query images are on the map too, byte for"),
+        pytest.warns(UserWarning, match="on the map too, byte for byte: 4 of 4; "),
     ):
         assert run(*arguments, *ours, "--copies")[0] == 0
     assert truth_of(tmp_path).places.tolist() == [0, 1, 2, 1, 2, 3]

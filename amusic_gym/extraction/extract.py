@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -16,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym import bank_files
 from amusic_gym.bank import ScoreBank, check_names, check_seconds
-from amusic_gym.extraction.blocks import Images
 from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.describe import Plan, images_of, match, score_rows
 from amusic_gym.extraction.executors import Executor, make_executor
@@ -95,7 +93,6 @@ def extract(
         ground_truth = by_index(map_folder, run_folder, tolerance, exact=True)
     truth, places = resolve_ground_truth(ground_truth, tolerance, len(run_folder), len(map_folder))
     references, queries = images_of(map_folder), images_of(run_folder)
-    _warn_of_same(references, queries)
     plans = [Plan.of(technique, references, queries) for technique in made]
     say = Progress(progress)
     with ExitStack() as stack:
@@ -115,19 +112,6 @@ def extract(
         )
         rows = (block for plan in plans for block in score_rows(plan, store))
         return result.in_memory(rows) if out is None else result.on_disk(rows, Path(out))
-
-
-def _warn_of_same(references: Images, queries: Images) -> None:
-    """Warn where images of the query are images of the map."""
-    seen = set(references.keys)
-    same = sum(key in seen for key in queries.keys)
-    if same:
-        warnings.warn(
-            f"{same} of the {len(queries)} query images are on the map too, byte for byte: to find "
-            "them there tells nothing of recognising places; give two recordings",
-            UserWarning,
-            stacklevel=3,
-        )
 
 
 @dataclass(frozen=True)

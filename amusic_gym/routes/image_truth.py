@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from amusic_gym.ground_truth import GroundTruth
 from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.routes.images import image_digest
 from amusic_gym.truth_files import read_truth
 
 METRES = 25.0
@@ -140,6 +141,23 @@ def with_copies(truth: GroundTruth, reference: ImageFolder) -> GroundTruth:
     runs = [np.unique(run_of[truth.places[a:b]]) for a, b in _rows(truth)]
     places = [np.nonzero(np.isin(run_of, run))[0] for run in runs]
     return GroundTruth.from_lists(places, len(reference))
+
+
+def warn_of_shared_files(reference: ImageFolder, query: ImageFolder) -> None:
+    """Warn where images of the query are images of the map, byte for byte."""
+    sizes = [{path: path.stat().st_size for path in each.paths} for each in (reference, query)]
+    alike = set(sizes[0].values()) & set(sizes[1].values())
+    places, frames = (
+        [image_digest(path) for path, size in each.items() if size in alike] for each in sizes
+    )
+    shared = sum(digest in set(places) for digest in frames)
+    if shared:
+        warnings.warn(
+            f"images of {query.path} are on the map too, byte for byte: {shared} of {len(query)}; "
+            "to find them there tells nothing of recognising places, give two recordings",
+            UserWarning,
+            stacklevel=2,
+        )
 
 
 def _around(centres: NDArray[np.generic], tolerance: int, reference: ImageFolder) -> GroundTruth:
