@@ -163,14 +163,7 @@ class ScoreBank:
             ValueError: at the first score that is NaN or +∞, naming technique and frame.
         """
         for technique, stored in zip(self.techniques, self.index, strict=True):
-            for frame, row in enumerate(self.stored[stored]):
-                if not (row < np.inf).all():
-                    place = int(np.argmin(row < np.inf))
-                    raise ValueError(
-                        f"score of technique {technique!r} at frame {frame}, place {place} is "
-                        f"{row[place]} (as float32); every score must be finite, or −∞ for a "
-                        "place that is no candidate: compute that row again"
-                    )
+            check_rows(technique, self.stored[stored])
 
     # ---- views ---------------------------------------------------------------------------
 
@@ -369,6 +362,22 @@ def paper_seconds(techniques: Sequence[str]) -> NDArray[np.float64]:
                 f"{', '.join(PAPER_SECONDS)}; use costs 'measured' or 'runs'"
             )
     return _read_only(np.array([by_name[name.casefold()] for name in techniques]))
+
+
+def check_rows(technique: str, rows: NDArray[np.float32], first: int = 0) -> None:
+    """Refuse score rows (n, R), of the frames from ``first`` on, with NaN or +∞.
+
+    Raises:
+        ValueError: naming technique, frame and place.
+    """
+    for frame, row in enumerate(rows, first):
+        if not (row < np.inf).all():
+            place = int(np.argmin(row < np.inf))
+            raise ValueError(
+                f"score of technique {technique!r} at frame {frame}, place {place} is "
+                f"{row[place]} (as float32); every score must be finite, or −∞ for a "
+                "place that is no candidate: compute that row again"
+            )
 
 
 def floored(rows: NDArray[Any]) -> NDArray[Any]:

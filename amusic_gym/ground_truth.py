@@ -260,7 +260,7 @@ def resolve_ground_truth(
             raise ValueError(
                 f"{queries} queries on a map of {references} places: which place is true for "
                 "which? give ground_truth (--ground-truth) as one place per query, as a boolean "
-                "matrix, or as a list of pairs"
+                "matrix, or as a list of pairs (scores have a column per place, unlike descriptors)"
             )
         ground_truth = np.arange(queries)
     if not isinstance(ground_truth, GroundTruth):
@@ -311,7 +311,8 @@ def _check_shape(shape: tuple[int, ...], queries: int, references: int) -> None:
     if shape not in ((queries,), (queries, references)):
         raise ValueError(
             f"ground truth has shape {shape}, but the scores have {queries} queries and "
-            f"{references} references; give shape ({queries}, {references}) or ({queries},)"
+            f"{references} references; give shape ({queries}, {references}) or ({queries},) "
+            "(scores have a column per place, unlike descriptors)"
         )
 
 

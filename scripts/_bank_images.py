@@ -40,6 +40,7 @@ def images(args: argparse.Namespace) -> None:
         route.query,
         tolerance=route.tolerance,
         ground_truth=route.ground_truth,
+        exclude_recent=args.exclude_recent,
         name=args.name or route.name,
     )
 
@@ -112,7 +113,8 @@ def _folders(args: argparse.Namespace) -> _Route:
     if args.tolerance is None and args.ground_truth is None and args.truth_by != "position":
         raise ValueError("give --tolerance N, the places to either side that count as right")
     reference, query = ImageFolder(args.reference), ImageFolder(args.query)
-    warn_of_shared_files(reference, query)
+    if args.exclude_recent is None:
+        warn_of_shared_files(reference, query)
     if args.ground_truth is not None:
         truth = from_file(args.ground_truth, reference, query, args.tolerance, args.trust)
     elif args.truth_by == "position":
@@ -210,6 +212,13 @@ def add_images(commands: Any) -> Parser:
         "names below 'query,place'",
     )
     add("--trust", action="store_true", help="unpickle a ground truth file of VPR-Bench")
+    add(
+        "--exclude-recent",
+        type=int,
+        metavar="N",
+        help="one sequence against itself (loop closure): the N frames before each, itself and "
+        "those after it are no candidates",
+    )
     add(
         "--copies",
         action="store_true",
