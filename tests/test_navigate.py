@@ -263,6 +263,22 @@ def test_a_number_is_a_camera(navigate, monkeypatch):
     assert [(camera.name, camera.closed) for camera in cameras] == [("camera 3", True)]
 
 
+def test_42_ground_truth_of_vprbench_is_read_with_trust(navigate, world, tmp_path):
+    rows = np.empty((FRAMES, 2), object)
+    for frame in range(FRAMES):
+        rows[frame] = frame, [frame, frame + 1]
+    np.save(tmp_path / "truth.npy", rows, allow_pickle=True)
+    given = {"ground-truth": str(tmp_path / "truth.npy")}
+    code, _, err = navigate(**given)
+    assert code == 2
+    assert "pass trust=True (--trust)" in err
+    code, out, err = navigate("--trust", **given)
+    assert (code, err) == (0, "")
+    code, _, err = navigate("--trust", **given, tolerance="5")
+    assert code == 2
+    assert "tolerance is 5, but the ground truth lists neighbouring places" in err
+
+
 # ---- pictures ----------------------------------------------------------------------------
 
 
