@@ -20,6 +20,7 @@ def every_row(run: Run, techniques: int) -> NDArray[np.float64]:
 
 def standardised(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rows (..., R) to mean 0 and population σ 1; a constant row becomes zeros."""
+    rows = floored(rows)
     centred = rows - rows.mean(axis=-1, keepdims=True)
     deviation = centred.std(axis=-1, keepdims=True)
     return np.where(_constant(rows), 0.0, centred / np.where(deviation > 0, deviation, 1.0))

@@ -21,7 +21,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.bank import ScoreBank, floored
+from amusic_gym.bank import ScoreBank
 from amusic_gym.policy import Context, Run
 from baselines.arguments import number
 from baselines.scores import standardised
@@ -94,7 +94,7 @@ def _observe(banks: Sequence[ScoreBank]) -> tuple[NDArray[np.float64], NDArray[n
         shape = len(bank.techniques), bank.queries
         sure, place = np.zeros(shape), np.zeros(shape, np.int64)
         for at in np.ndindex(*shape):  # row by row: a large bank does not fit into memory
-            z = standardised(floored(np.asarray(bank.row(*at), np.float64)))
+            z = standardised(np.asarray(bank.row(*at), np.float64))
             place[at] = z.argmax()
             sure[at] = z[place[at]]
         best.append(sure)
