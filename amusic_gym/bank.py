@@ -43,12 +43,13 @@ class ScoreBank:
     same scores.
 
     Args:
-        scores: (T, Q, R) numbers, higher = more similar; kept as float32. Copied, unless it is a
-            float32 memory map opened read-only.
+        scores: (T, Q, R) numbers, higher = more similar, −∞ for a place that is no candidate;
+            kept as float32. Copied, unless it is a float32 memory map opened read-only.
         techniques: T different names, in the order of the scores.
         seconds: (T,) seconds of one run of each technique on one frame, > 0.
         tolerance: places to either side of the true one that count as right. None only where
-            ``ground_truth`` lists the true places itself: then half their median span.
+            ``ground_truth`` lists the true places itself: then half the median run of neighbours
+            among them.
         ground_truth: None (query q is at place q) | (Q, R) boolean | (Q,) integer places, -1 for
             a query without a true place | GroundTruth.
         name: what to call the bank in tables; by default, its folder's name once on disk.
@@ -56,7 +57,7 @@ class ScoreBank:
         costs: the cost model that ``seconds`` belong to, one of `COST_MODELS`.
 
     Raises:
-        ValueError: for shapes that do not fit, scores that are not finite, names that are empty,
+        ValueError: for shapes that do not fit, scores of NaN or +∞, names that are empty,
             repeated or ambiguous on a command line, seconds that are not positive.
 
     Attributes:
@@ -159,17 +160,10 @@ class ScoreBank:
         """Read every score once.
 
         Raises:
-            ValueError: at the first score that is NaN or infinite, naming technique and frame.
+            ValueError: at the first score that is NaN or +∞, naming technique and frame.
         """
         for technique, stored in zip(self.techniques, self.index, strict=True):
-            for frame, row in enumerate(self.stored[stored]):
-                if not np.isfinite(row).all():
-                    place = int(np.argmin(np.isfinite(row)))
-                    raise ValueError(
-                        f"score of technique {technique!r} at frame {frame}, place {place} is "
-                        f"{row[place]} (as float32); every score must be finite: compute that "
-                        "row again"
-                    )
+            check_rows(technique, self.stored[stored])
 
     # ---- views ---------------------------------------------------------------------------
 
@@ -376,6 +370,34 @@ def paper_seconds(techniques: Sequence[str]) -> NDArray[np.float64]:
     return _read_only(np.array([by_name[name.casefold()] for name in techniques]))
 
 
+def check_rows(technique: str, rows: NDArray[np.float32], first: int = 0) -> None:
+    """Refuse score rows (n, R), of the frames from ``first`` on, with NaN or +∞.
+
+    Raises:
+        ValueError: naming technique, frame and place.
+    """
+    for frame, row in enumerate(rows, first):
+        if not (row < np.inf).all():
+            place = int(np.argmin(row < np.inf))
+            raise ValueError(
+                f"score of technique {technique!r} at frame {frame}, place {place} is "
+                f"{row[place]} (as float32); every score must be finite, or −∞ for a "
+                "place that is no candidate: compute that row again"
+            )
+
+
+def floored(rows: NDArray[Any]) -> NDArray[Any]:
+    """Rows (..., R) in which places that are no candidates have the row's lowest score; 0 if all.
+
+    For what ranks or draws rows and knows of no −∞; the same array where there is none.
+    """
+    masked = np.isneginf(rows)
+    if not masked.any():
+        return rows
+    lowest = np.where(masked, np.inf, rows).min(axis=-1, keepdims=True)
+    return np.where(masked, np.where(np.isposinf(lowest), 0, lowest), rows).astype(rows.dtype)
+
+
 def _as_scores(scores: ArrayLike) -> NDArray[np.float32]:
     array = np.asarray(scores)
     if array.ndim != 3 or array.size == 0:
@@ -388,8 +410,16 @@ def _as_scores(scores: ArrayLike) -> NDArray[np.float32]:
     mapped = isinstance(scores, np.memmap) and scores.mode == "r"
     if mapped and array.dtype == np.float32 and array.flags.c_contiguous:
         return array
-    with np.errstate(over="ignore"):  # too large for float32 becomes infinite: refused later
-        return _read_only(np.array(array, dtype=np.float32, order="C"))
+    return _read_only(as_float32(array))
+
+
+def as_float32(scores: NDArray[Any]) -> NDArray[np.float32]:
+    """A copy in float32; what is too large for it becomes NaN, not ±∞, and is refused as that."""
+    with np.errstate(over="ignore"):
+        kept: NDArray[np.float32] = np.array(scores, dtype=np.float32, order="C")
+    if scores.dtype != np.float32:
+        kept[np.isneginf(kept) & (scores > -np.inf)] = np.nan
+    return kept
 
 
 def _read_only(array: NDArray[_Number]) -> NDArray[_Number]:

@@ -188,8 +188,12 @@ def _entries(
     identity = comparison_files.bank_identity(bank)
     code = comparison_files.code_digest(Path(__file__).parent)
     entries = []
-    for contestant in dict.fromkeys(contestants(bank)):
-        policy = contestant.make(context)
+    chosen_ones = dict.fromkeys(contestants(bank))
+    try:
+        made = [(each, each.make(context)) for each in chosen_ones]
+    except ValueError as error:
+        raise ValueError(f"bank {bank.name!r}: {error}") from error
+    for contestant, policy in made:
         own = Correction.under(policy, **chosen)
         for weight in dict.fromkeys(contestant.compute_weights):
             key = {

@@ -15,7 +15,7 @@ from amusic_gym._compile import compiled, inner, spliced
 from amusic_gym.belief.places import log_odds, log_ratio
 from amusic_gym.observation import SMOOTHING, USUAL_SMOOTHING, observe
 from amusic_gym.records import LIVE, PAST_END, Outcome, Rules, State, batch_at
-from amusic_gym.rows import correlation, mean_at, prepare, row_at, scale_at, top_at
+from amusic_gym.rows import correlation, deviation, mean_at, prepare, row_at, scale_at, top_at
 from amusic_gym.sic import (
     best_candidate,
     best_rival,
@@ -355,7 +355,7 @@ def relate(state: State, rules: Rules, i: int, frame: int) -> None:
         agreeing += slot.agrees
         if slot.ran:
             run = state.runs[i, s]
-            z = row_at(run, frame)[route.prediction] - mean_at(run, frame)[0]
+            z = deviation(row_at(run, frame)[route.prediction], mean_at(run, frame)[0])
             slot.support = z * scale_at(run, frame)[0]
             slot.support_mean += SMOOTHING * (slot.support - slot.support_mean)
             slot.runs += 1.0

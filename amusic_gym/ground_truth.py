@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -88,13 +89,51 @@ class GroundTruth:
         """
         middle = _integers(centres, "ground truth")
         _check_range(middle, -1, references, "true place")
-        reach = min(check_tolerance(tolerance), references)
-        first = np.maximum(middle - reach, 0)
-        last = np.minimum(middle + reach, references - 1)
-        count = np.where(middle >= 0, last - first + 1, 0)
-        indptr = np.concatenate([[0], np.cumsum(count)])
-        offsets = np.arange(indptr[-1]) - np.repeat(indptr[:-1], count)
-        return cls(indptr, np.repeat(first, count) + offsets, references)
+        known = middle >= 0
+        return cls(np.append(0, np.cumsum(known)), middle[known], references).widened(tolerance)
+
+    @classmethod
+    def from_lists(cls, places: Sequence[ArrayLike], references: int) -> GroundTruth:
+        """Ground truth from the true places of each query, rising, on a map of ``references``."""
+        rows = [np.asarray(row, np.int64) for row in places]
+        return cls(
+            np.append(0, np.cumsum([len(row) for row in rows])), np.concatenate(rows), references
+        )
+
+    def widened(self, tolerance: int, parts: Sequence[int] = ()) -> GroundTruth:
+        """The same, and ``tolerance`` places to either side of each true one, on its own part.
+
+        Args:
+            tolerance: places.
+            parts: lengths of the parts that the map is joined of; by default it is one.
+        """
+        reach = min(check_tolerance(tolerance), self.references)
+        ends = np.cumsum(parts or [self.references])
+        part = np.searchsorted(ends, self.places, "right")
+        first = np.maximum(self.places - reach, np.append(0, ends)[part])
+        last = np.minimum(self.places + reach, ends[part] - 1)
+        count = last - first + 1
+        offsets = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        keys = np.unique(np.repeat(self._keys - self.places + first, count) + offsets)
+        indptr = np.searchsorted(keys, self.references * np.arange(self.queries + 1))
+        return GroundTruth(indptr, keys % self.references, self.references)
+
+    def with_tolerance(self, tolerance: int, parts: Sequence[int] = ()) -> GroundTruth:
+        """The same widened by a tolerance, unless its places are ranges of that tolerance already.
+
+        Raises:
+            ValueError: for ranges of another tolerance: were these to be widened, or replaced?
+        """
+        runs, own = self._runs(), self.half_run()
+        if own == check_tolerance(tolerance):
+            return self
+        if runs.max() > 1:
+            raise ValueError(
+                f"tolerance is {tolerance}, but the ground truth lists neighbouring places itself "
+                f"(a run of {runs.max()} at frame {runs.argmax()}), which stand for {own}; leave "
+                "the tolerance out, or list the middle of each range only"
+            )
+        return self.widened(tolerance, parts)
 
     @property
     def queries(self) -> int:
@@ -161,13 +200,22 @@ class GroundTruth:
         matrix[np.repeat(np.arange(self.queries), np.diff(self.indptr)), self.places] = True
         return matrix
 
-    def half_span(self) -> int:
-        """Half the median span (last minus first true place) of the queries that have a place."""
-        known = self.has_place
-        if not known.any():
-            return 0
-        spans = self.places[self.indptr[1:][known] - 1] - self.places[self.indptr[:-1][known]]
-        return int(np.median(spans) / 2)
+    def half_run(self) -> int:
+        """Half the median length, in places, of the queries' longest runs of true neighbours.
+
+        Not of their span: a place visited twice is true at both visits, far apart.
+        """
+        runs = self._runs()
+        return int(np.median(runs[runs > 0]) / 2) if runs.any() else 0
+
+    def _runs(self) -> NDArray[np.int64]:
+        """(Q,) length of each query's longest run of neighbouring true places."""
+        query_of = np.repeat(np.arange(self.queries), np.diff(self.indptr))
+        begins = (np.diff(self.places, prepend=-2) != 1) | (np.diff(query_of, prepend=-1) != 0)
+        first = np.flatnonzero(begins)
+        longest = np.zeros(self.queries, np.int64)
+        np.maximum.at(longest, query_of[first], np.diff(first, append=len(self.places)))
+        return longest
 
     def _pairs(
         self, predictions: ArrayLike, frames: ArrayLike | None
@@ -189,16 +237,19 @@ def resolve_ground_truth(
     tolerance: int | None,
     queries: int,
     references: int,
+    parts: Sequence[int] = (),
 ) -> tuple[GroundTruth, int]:
     """The ground truth and the tolerance of a bank, from the forms in which users have them.
 
     Args:
-        ground_truth: None (query q is at place q) | (Q, R) boolean | (Q,) integer centres, -1 for
-            none | GroundTruth.
-        tolerance: places to either side of a centre that are right. None only where the true
-            places themselves are given: then half their median span.
+        ground_truth: None (query q is at place q, of as many) | (Q, R) boolean | (Q,) integer
+            centres, -1 for none | GroundTruth, which stays as it is.
+        tolerance: places to either side of a centre that are right; with a matrix, see
+            :meth:`GroundTruth.with_tolerance`. None only where the true places themselves are
+            given: then :meth:`GroundTruth.half_run`.
         queries: Q.
         references: R.
+        parts: see :meth:`GroundTruth.widened`.
 
     Raises:
         ValueError: for ground truth of another shape or range, or a missing tolerance.
@@ -206,10 +257,11 @@ def resolve_ground_truth(
     if tolerance is not None:
         tolerance = check_tolerance(tolerance)
     if ground_truth is None:
-        if queries > references:
+        if queries != references:
             raise ValueError(
-                f"{queries} queries on a map of {references} places: query q cannot be at place q; "
-                "give ground_truth"
+                f"{queries} queries on a map of {references} places: which place is true for "
+                "which? give ground_truth (--ground-truth) as one place per query, as a boolean "
+                "matrix, or as a list of pairs (scores have a column per place, unlike descriptors)"
             )
         ground_truth = np.arange(queries)
     if not isinstance(ground_truth, GroundTruth):
@@ -217,15 +269,18 @@ def resolve_ground_truth(
         _check_shape(ground_truth.shape, queries, references)
         if ground_truth.ndim == 2:
             ground_truth = GroundTruth.from_matrix(ground_truth)
+            if tolerance is not None:
+                ground_truth = ground_truth.with_tolerance(tolerance, parts)
         elif tolerance is None:
             raise ValueError(
                 "tolerance is missing; give tolerance=N, the places to either side of the true "
                 "one that count as right, or a boolean ground truth matrix"
             )
         else:
-            ground_truth = GroundTruth.from_places(ground_truth, tolerance, references)
+            ground_truth = GroundTruth.from_places(ground_truth, 0, references)
+            ground_truth = ground_truth.widened(tolerance, parts)
     _check_shape((ground_truth.queries, ground_truth.references), queries, references)
-    return ground_truth, ground_truth.half_span() if tolerance is None else tolerance
+    return ground_truth, ground_truth.half_run() if tolerance is None else tolerance
 
 
 def check_tolerance(value: Any) -> int:
@@ -243,7 +298,8 @@ def _check_shape(shape: tuple[int, ...], queries: int, references: int) -> None:
     if shape not in ((queries,), (queries, references)):
         raise ValueError(
             f"ground truth has shape {shape}, but the scores have {queries} queries and "
-            f"{references} references; give shape ({queries}, {references}) or ({queries},)"
+            f"{references} references; give shape ({queries}, {references}) or ({queries},) "
+            "(scores have a column per place, unlike descriptors)"
         )
 
 

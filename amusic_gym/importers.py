@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import os
-import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym import storage
-from amusic_gym.bank import ScoreBank, check_names
-from amusic_gym.ground_truth import GroundTruth
+from amusic_gym import bank_files, storage
+from amusic_gym.bank import ScoreBank, as_float32, check_names, check_rows, check_seconds
+from amusic_gym.ground_truth import GroundTruth, resolve_ground_truth
+from amusic_gym.loop_closure import rows_without_recent, truth_without_recent
 from amusic_gym.names import suggest
+from amusic_gym.truth_files import order_of, read_truth, unpickle
 
 VPRBENCH_MATCHES = "precomputed_data_corrected.npy"
 """The file that VPR-Bench keeps in each technique's folder."""
+
+_BLOCK = 2**18  # scores in memory at a time
+_SURE = 4.0  # standard deviations of chance that let scores be taken for distances
 
 _Path = str | os.PathLike[str]
 
@@ -30,6 +35,8 @@ def from_arrays(
     ground_truth: _Path | NDArray[Any] | GroundTruth | None = None,
     name: str = "",
     source: str = "",
+    exclude_recent: int | None = None,
+    out: _Path | None = None,
 ) -> ScoreBank:
     """A bank from one .npy file of scores per technique.
 
@@ -37,28 +44,54 @@ def from_arrays(
         files: technique name -> .npy file, (Q, R) numbers, higher = more similar.
         seconds: technique name -> seconds of one run on one frame.
         tolerance: see `ScoreBank`.
-        ground_truth: as for `ScoreBank`, or the .npy file that holds it.
+        ground_truth: as for `ScoreBank`, or a file: see :func:`amusic_gym.truth_files.read_truth`.
         name: what to call the bank in tables.
         source: where the scores come from; by default, the files' names.
+        exclude_recent: as for `extract`.
+        out: the bank's folder to write; None: the bank stays in memory. With it, memory holds some
+            rows at a time.
 
     Raises:
         FileNotFoundError: when a file is missing.
-        ValueError: for a file that holds no such matrix, or seconds for other techniques.
+        ValueError: for a file that holds no such matrix, or distances; for seconds for other
+            techniques.
+        OSError: when the bank cannot be written.
     """
     names = check_names(list(files))
-    matrices = [_score_matrix(storage.read_array(path), path) for path in files.values()]
+    paths = [Path(path) for path in files.values()]
+    matrices = [_Matrix.of(path) for path in paths]
     _check_same_shape(names, matrices)
+    queries, references = matrices[0].shape
     if isinstance(ground_truth, str | os.PathLike):
-        ground_truth = storage.read_array(ground_truth)
-    return ScoreBank(
-        np.stack(matrices),
-        names,
-        _seconds_in_order(names, seconds),
-        tolerance=tolerance,
-        ground_truth=ground_truth,
-        name=name,
-        source=source or "arrays: " + ", ".join(Path(path).name for path in files.values()),
+        ground_truth = read_truth(ground_truth, queries, references, tolerance=tolerance)
+    truth, places = resolve_ground_truth(ground_truth, tolerance, queries, references)
+    if exclude_recent is not None:
+        truth = truth_without_recent(truth, exclude_recent)
+    costs = check_seconds(_seconds_in_order(names, seconds), names)
+    source = source or "arrays: " + ", ".join(path.name for path in paths)
+    rows: Iterator[NDArray[np.float32]] = (
+        block
+        for technique, matrix in zip(names, matrices, strict=True)
+        for block in _checked(technique, matrix.blocks(), truth)
     )
+    if exclude_recent is not None:
+        rows = rows_without_recent(rows, queries, exclude_recent)
+    if out is None:
+        scores = np.concatenate(list(rows)).reshape(len(names), queries, references)
+        return ScoreBank(
+            scores, names, costs, tolerance=places, ground_truth=truth, name=name, source=source
+        )
+    written = bank_files.write(
+        Path(out),
+        scores=rows,
+        truth=truth,
+        techniques=list(zip(names, costs.tolist(), strict=True)),
+        tolerance=places,
+        name=name,
+        source=source,
+        costs="measured",
+    )
+    return ScoreBank.load(written)
 
 
 def from_recording(folder: _Path, techniques: Sequence[str] | None = None) -> ScoreBank:
@@ -112,8 +145,8 @@ def from_vprbench(
         directory: the folder with one folder per technique (VPR-Bench's ``precomputed_matches``,
             or the data set's folder that holds it).
         techniques: which of them, in the bank's order.
-        ground_truth: VPR-Bench's ground truth file (query id, list of true places), or any form
-            that `from_arrays` takes.
+        ground_truth: VPR-Bench's file (query id, list of true places), or any form that
+            `from_arrays` takes.
         trust: True to unpickle these files.
         tolerance: see `ScoreBank`.
         name: what to call the bank in tables.
@@ -133,29 +166,90 @@ def from_vprbench(
     _check_same_shape(names, [scores for scores, _ in matches])
     queries, references = matches[0][0].shape
     if isinstance(ground_truth, str | os.PathLike):
-        ground_truth = read_ground_truth(Path(ground_truth), trust, queries, references)
+        ground_truth = read_truth(
+            ground_truth, queries, references, tolerance=tolerance, trust=trust
+        )
+    truth, places = resolve_ground_truth(ground_truth, tolerance, queries, references)
     return ScoreBank(
-        np.stack([scores for scores, _ in matches]),
+        np.stack(
+            [
+                row
+                for t, (rows, _) in zip(names, matches, strict=True)
+                for row in _checked(t, [rows], truth)
+            ]
+        ),
         names,
         [seconds for _, seconds in matches],
-        tolerance=tolerance,
-        ground_truth=ground_truth,
+        tolerance=places,
+        ground_truth=truth,
         name=name,
         source=source or f"VPR-Bench: {folder.resolve().parent.name}",
     )
 
 
-def _score_matrix(array: NDArray[Any], path: _Path) -> NDArray[np.float32]:
-    if array.ndim != 2 or array.size == 0 or array.dtype.kind not in "fiub":
+@dataclass(frozen=True)
+class _Matrix:
+    """A file's matrix of scores, of which some rows are in memory at a time."""
+
+    path: Path
+    header: storage.NpyHeader
+
+    @classmethod
+    def of(cls, path: Path) -> _Matrix:
+        """That of a .npy file."""
+        with storage.open_file(path) as file:
+            header = storage.read_npy_header(file, path)
+        if header.dtype.hasobject:
+            storage.read_array(path)  # refuses
+        _check_matrix(header.shape, header.dtype, path)
+        return cls(path, header)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(Q, R)."""
+        return self.header.shape
+
+    def blocks(self) -> Iterator[NDArray[np.float32]]:
+        """The rows, mapped anew for each block: so pages that were read are let go."""
+        step = max(1, _BLOCK // self.shape[1])
+        order: Literal["C", "F"] = "F" if self.header.fortran_order else "C"
+        for first in range(0, self.shape[0], step):
+            mapped = np.memmap(
+                self.path, self.header.dtype, "r", self.header.offset, self.shape, order
+            )
+            yield as_float32(mapped[first : first + step])
+
+
+def _check_matrix(shape: tuple[int, ...], dtype: np.dtype[Any], path: _Path) -> None:
+    if len(shape) != 2 or 0 in shape or dtype.kind not in "fiub":
         raise ValueError(
-            f"{path} has shape {array.shape} and dtype {array.dtype}; give a matrix "
+            f"{path} has shape {shape} and dtype {dtype}; give a matrix "
             "[query, reference] of numbers with at least one of each"
         )
-    with np.errstate(over="ignore"):  # too large for float32 becomes infinite: the bank refuses
-        return array.astype(np.float32)
 
 
-def _check_same_shape(names: Sequence[str], matrices: Sequence[NDArray[Any]]) -> None:
+def _checked(
+    technique: str, blocks: Iterable[NDArray[np.float32]], truth: GroundTruth
+) -> Iterator[NDArray[np.float32]]:
+    """The blocks of rows of a technique, unless they hold what is no score, or distances."""
+    first, highest, lowest = 0, 0, 0
+    for rows in blocks:
+        check_rows(technique, rows, first)
+        frames = np.arange(first, first + len(rows))
+        worst = np.where(np.isneginf(rows), np.inf, rows).argmin(axis=1)
+        highest += int(truth.correct(rows.argmax(axis=1), frames).sum())
+        lowest += int(truth.correct(worst, frames).sum())
+        first += len(rows)
+        yield rows
+    if lowest - highest > _SURE * (lowest + highest) ** 0.5:
+        raise ValueError(
+            f"scores of technique {technique!r} look like distances: the lowest of a row is at a "
+            f"true place on {lowest} frames, the highest on {highest}; higher must be more "
+            "similar, so negate them"
+        )
+
+
+def _check_same_shape(names: Sequence[str], matrices: Sequence[NDArray[Any] | _Matrix]) -> None:
     for name, matrix in zip(names, matrices, strict=True):
         if matrix.shape != matrices[0].shape:
             raise ValueError(
@@ -188,82 +282,18 @@ def _matches_folder(directory: Path) -> Path:
     return folder
 
 
-def _unpickle(path: Path, trust: bool) -> NDArray[Any]:
-    """The object array of a VPR-Bench file; executes what the pickle says."""
-    with storage.open_file(path) as file:
-        storage.read_npy_header(file, path)  # no bare pickle: only what VPR-Bench writes
-        if not trust:
-            raise ValueError(
-                f"{path} holds pickled Python objects, which can run code when read; if you "
-                "trust who made it, pass trust=True (--trust)"
-            )
-        file.seek(0)
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # NumPy on pickles of Python 2
-                array: NDArray[Any] = np.load(file, allow_pickle=True, encoding="latin1")
-        except Exception as error:  # a damaged pickle raises nearly anything
-            raise ValueError(
-                f"{path} cannot be unpickled ({type(error).__name__}: {error}); copy it again"
-            ) from None
-    return array
-
-
 def _read_matches(path: Path, trust: bool) -> tuple[NDArray[np.float32], float]:
     """Scores (Q, R) in the order of the query ids, and seconds of one run."""
-    items = _unpickle(path, trust)
+    items = unpickle(path, trust)
     try:
         ids = np.asarray(items[0], dtype=np.int64)
-        scores = _score_matrix(np.asarray(list(items[3]), dtype=np.float64), path)
+        stored = np.asarray(list(items[3]), dtype=np.float64)
+        _check_matrix(stored.shape, stored.dtype, path)
+        scores = as_float32(stored)
         encode, match = (float(np.mean(np.asarray(items[at], np.float64))) for at in (4, 5))
     except (IndexError, TypeError, ValueError) as error:
         raise ValueError(
             f"{path} is not laid out as VPR-Bench's matches are (query ids, best reference, best "
             f"score, score rows, encode seconds, match seconds): {error}"
         ) from None
-    return scores[_order_of(ids, len(scores), path)], encode + scores.shape[1] * match
-
-
-def read_ground_truth(
-    path: Path, trust: bool, queries: int, references: int
-) -> NDArray[Any] | GroundTruth:
-    """Ground truth from a plain .npy file, or from VPR-Bench's (query id, list of true places).
-
-    Args:
-        path: the file.
-        trust: True to unpickle it, which VPR-Bench's needs.
-        queries: Q, as many different query ids as the file must hold.
-        references: R, places on the map.
-
-    Raises:
-        FileNotFoundError: when there is no such file.
-        ValueError: for VPR-Bench's file without ``trust``, or a file of another layout.
-    """
-    with storage.open_file(path) as file:
-        pickled = storage.read_npy_header(file, path).dtype.hasobject
-    if not pickled:
-        return storage.read_array(path)
-    rows = _unpickle(path, trust)
-    try:
-        ids = np.asarray([row[0] for row in rows], dtype=np.int64)
-        places = [np.unique(np.asarray(row[1], dtype=np.int64)) for row in rows]
-    except (IndexError, TypeError, ValueError) as error:
-        raise ValueError(
-            f"{path} is not laid out as VPR-Bench's ground truth is (query id, list of true "
-            f"places): {error}"
-        ) from None
-    order = _order_of(ids, queries, path)
-    counts = [len(places[row]) for row in order]
-    indptr = np.concatenate([[0], np.cumsum(counts)])
-    return GroundTruth(indptr, np.concatenate([places[row] for row in order]), references)
-
-
-def _order_of(ids: NDArray[np.int64], queries: int, path: Path) -> NDArray[np.int64]:
-    """Rows by rising query id: SIC needs the frames in the order of the traverse."""
-    if ids.shape != (queries,) or len(np.unique(ids)) != queries:
-        raise ValueError(
-            f"{path} has query ids of shape {ids.shape} with {len(np.unique(ids))} different "
-            f"ones where {queries} are expected; it is damaged or of another data set"
-        )
-    order: NDArray[np.int64] = np.argsort(ids)
-    return order
+    return scores[order_of(ids, len(scores), path)], encode + scores.shape[1] * match

@@ -183,7 +183,7 @@ class LiveRoute:
 
     Raises:
         ValueError: for no map, maps or ``places`` of different size, unusable names or costs, a
-            source without a frame, scores of the wrong shape, or NaN or infinite ones.
+            source without a frame, scores of the wrong shape, NaN or +∞.
 
     Attributes:
         techniques: T names.
@@ -302,7 +302,7 @@ class LiveRoute:
             The score row (R,) and the seconds that it took.
 
         Raises:
-            ValueError: for a row of the wrong shape, NaN or infinite scores, or an image that the
+            ValueError: for a row of the wrong shape, NaN or +∞ as a score, or an image that the
                 technique refuses; each names technique and frame.
         """
         one = self.maps[technique]
@@ -377,10 +377,10 @@ def _checked(row: Any, references: int, where: str) -> NDArray[np.float32]:
             f" one number for each of the {references} places"
         )
     scores = scores.astype(np.float32, copy=False)
-    if not np.isfinite(scores).all():
-        place = int(np.argmin(np.isfinite(scores)))
+    if not (scores < np.inf).all():
+        place = int(np.argmin(scores < np.inf))
         raise ValueError(
-            f"{where} gave {scores[place]} as score of place {place}; every score must be finite:"
-            " mend the technique"
+            f"{where} gave {scores[place]} as score of place {place}; every score must be finite,"
+            " or −∞ for a place that is no candidate: mend the technique"
         )
     return scores

@@ -70,15 +70,15 @@ def highest_z(rows: Iterable[NDArray[np.float32]], place: int) -> float:
     """The largest z-score that score rows (R,) give to a place: a localiser's ``similarity``.
 
     σ is the population's, and a constant row gives 0, as everywhere (A-MuSIC, III-B). 0 without a
-    row, or where the place is none of theirs (−1).
+    row, or where the place is none of theirs (−1) or no candidate (−∞).
     """
     found = []
     for row in rows:
-        if not 0 <= place < row.size or row.min() == row.max():
+        wide = row[row > -np.inf].astype(np.float64)  # the candidates
+        if not 0 <= place < row.size or row[int(place)] == -np.inf or wide.min() == wide.max():
             found.append(0.0)
             continue
-        wide = row.astype(np.float64)
-        found.append(float((wide[int(place)] - wide.mean()) / wide.std()))
+        found.append(float((row[int(place)] - wide.mean()) / wide.std()))
     return max(found, default=0.0)
 
 

@@ -136,7 +136,7 @@ def _localise(policy: Localiser, bank: ScoreBank, name: str) -> Trace:
         def run(technique: int, frame: int = frame, rows: Rows = rows) -> NDArray[np.float32]:
             ran[frame, technique] = True
             rows[technique] = row = bank.row(technique, frame)
-            if not np.isfinite(row).all():
+            if not (row < np.inf).all():
                 raise ValueError(
                     f"score bank {bank.name!r}: NaN or infinite score of technique"
                     f" {bank.techniques[technique]!r} at frame {frame}; mend the scores and write"

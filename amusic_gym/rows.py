@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from amusic_gym.bank import ScoreBank
 
 
+MASKED = 2
+"""What ``ready`` is for a row with places that are no candidates: their score is −∞."""
+
 PREPARED = ("mean", "scale", "top", "ready", "serial")
 """What is kept of every row; fields of ``RUN``."""
 
@@ -28,10 +31,10 @@ class PreparedRows:
 
     Attributes:
         candidates: K, already clipped to the map's length.
-        mean: (T, Q) float64, mean of each score row.
+        mean: (T, Q) float64, mean of each score row; over its candidates, as ``scale`` is.
         scale: (T, Q) float64, 1/σ of each row, 0 for a constant one.
         top: (T, Q, K) int32, the K best places, ranked; ties to the lower index.
-        ready: (T, Q) uint8, 1 where the row's entries are filled.
+        ready: (T, Q) uint8, 1 where the row's entries are filled, or `MASKED`.
         serial: (T, Q) float64, see :func:`serial_correlation`; NaN where it is not known yet.
     """
 
@@ -178,6 +181,22 @@ def serial_at(run: Any, frame: int) -> Any:
 
 
 @inner
+def deviation(score: float, mean: float) -> float:
+    """A score less its row's mean; 0 for a place that is no candidate: it says nothing there."""
+    return score - mean if score != -math.inf else 0.0
+
+
+@inner
+def is_masked(run: Any, frame: int, place: int) -> bool:
+    """Whether a place is no candidate in a prepared row; a row without any is as a constant one."""
+    masked = False
+    if ready_at(run, frame)[0] == MASKED:
+        row = row_at(run, frame)
+        masked = row[place] == -math.inf and row[top_at(run, frame)[0]] != -math.inf
+    return masked
+
+
+@inner
 def worse(scores: Any, a: int, b: int) -> bool:
     """Whether place ``a`` ranks behind place ``b``: lower score, or equal and of higher index."""
     return scores[a] < scores[b] or (scores[a] == scores[b] and a > b)
@@ -217,30 +236,45 @@ def rank_candidates(scores: Any, top: Any) -> None:
 
 @compiled
 def prepare(run: Any, frame: int) -> bool:
-    """Fill mean, scale and candidates of a frame's row once; False if a score is not finite."""
+    """Fill mean, scale and candidates of a frame's row once; False if a score is NaN or +∞."""
     ready = ready_at(run, frame)
     if ready[0]:
         return True
     row = row_at(run, frame)
-    total = 0.0
-    lowest = row[0]
-    highest = row[0]
+    total, size = 0.0, 0
+    lowest, highest = math.inf, -math.inf
     for place in range(row.size):
-        total += row[place]
-        lowest = min(lowest, row[place])
-        highest = max(highest, row[place])
+        if row[place] != -math.inf:
+            total += row[place]
+            size += 1
+            lowest = min(lowest, row[place])
+            highest = max(highest, row[place])
     if not math.isfinite(total):
         return False
-    mean = total / row.size
+    mean = total / max(size, 1)
     square = 0.0
     for place in range(row.size):
-        square += (row[place] - mean) ** 2
+        square += deviation(row[place], mean) ** 2
     mean_at(run, frame)[0] = mean
     # Asked of the extremes, because rounding can leave a constant row a σ that is not quite 0.
-    scale_at(run, frame)[0] = 0.0 if highest == lowest else 1.0 / math.sqrt(square / row.size)
+    scale_at(run, frame)[0] = 0.0 if highest <= lowest else 1.0 / math.sqrt(square / size)
     rank_candidates(row, top_at(run, frame))
-    ready[0] = 1
+    ready[0] = 1 if size == row.size else MASKED
     return True
+
+
+@apart
+def masked_correlation(one: Any, past: int, other: Any, frame: int, shift: int) -> float:
+    """As :func:`correlation`, over the c that are candidates in both rows."""
+    before, now = row_at(one, past), row_at(other, frame)
+    mean_before, mean_now = mean_at(one, past)[0], mean_at(other, frame)[0]
+    total, pairs = 0.0, 0
+    for i in range(now.size - shift):
+        if before[i] != -math.inf and now[i + shift] != -math.inf:
+            total += (before[i] - mean_before) * (now[i + shift] - mean_now)
+            pairs += 1
+    scale: float = scale_at(one, past)[0] * scale_at(other, frame)[0]
+    return total * scale / max(pairs, 1)
 
 
 @apart
@@ -249,6 +283,8 @@ def correlation(one: Any, past: int, other: Any, frame: int, shift: int) -> floa
 
     Over all c that both have, 0 where there is none. Both rows must be there and prepared.
     """
+    if ready_at(one, past)[0] == MASKED or ready_at(other, frame)[0] == MASKED:
+        return masked_correlation(one, past, other, frame, shift)
     before, now = row_at(one, past), row_at(other, frame)
     mean_before, mean_now = mean_at(one, past)[0], mean_at(other, frame)[0]
     a, b, c, d = 0.0, 0.0, 0.0, 0.0  # four lanes: additions of one chain wait for each other

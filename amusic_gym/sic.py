@@ -20,6 +20,8 @@ from amusic_gym._tables import part
 from amusic_gym.rows import (
     RUN,
     RowBuffer,
+    deviation,
+    is_masked,
     mean_at,
     prepare,
     row_at,
@@ -112,10 +114,10 @@ def add_row(sums: Any, base: int, run: Any, frame: int, decay: float) -> None:
     window = sums[base : base + row.size]
     if decay != 1.0:
         for place in range(row.size):
-            window[place] = decay * window[place] + (row[place] - mean) * scale
+            window[place] = decay * window[place] + deviation(row[place], mean) * scale
         return
     for place in range(row.size):
-        window[place] += (row[place] - mean) * scale
+        window[place] += deviation(row[place], mean) * scale
 
 
 @apart
@@ -139,7 +141,7 @@ def add_waiting(sums: Any, mark: Any, run: Any, frame: int) -> None:
             window = part(sums, base + first, stop - first)
             scores = part(row, first - age, stop - first)
             for place in range(stop - first):
-                window[place] += (scores[place] - mean) * scale
+                window[place] += deviation(scores[place], mean) * scale
     mark.waiting, mark.leaving = 0, 0
 
 
@@ -147,7 +149,8 @@ def add_waiting(sums: Any, mark: Any, run: Any, frame: int) -> None:
 def z_of(run: Any, frame: int, place: int) -> float:
     """Z-score of a place in a row."""
     prepare(run, frame)  # as in remove_row
-    z: float = (row_at(run, frame)[place] - mean_at(run, frame)[0]) * scale_at(run, frame)[0]
+    off = deviation(row_at(run, frame)[place], mean_at(run, frame)[0])
+    z: float = off * scale_at(run, frame)[0]
     return z
 
 
@@ -174,7 +177,7 @@ def remove_row(sums: Any, base: int, run: Any, frame: int, age: int, weight: flo
     scale = scale_at(run, frame)[0] * weight
     window = part(sums, base + age, row.size - age)
     for place in range(row.size - age):
-        window[place] -= (row[place] - mean) * scale
+        window[place] -= deviation(row[place], mean) * scale
 
 
 @apart
@@ -361,6 +364,16 @@ def candidate_at(top: Any, carried: Any, rank: int) -> int:
 
 
 @inner
+def shut_out(run: Any, frame: int, top: Any, out: Any) -> int:
+    """Give −∞ to what ranks last and is no candidate; returns how many others there are."""
+    size: int = top.size
+    while is_masked(run, frame, top[size - 1]):
+        size -= 1
+        out[size] = -math.inf
+    return size
+
+
+@inner
 def best_candidate(
     sums: Any,
     mark: Any,
@@ -378,17 +391,19 @@ def best_candidate(
     """Write the statistics of a row's candidates at ``frame`` to ``out`` (K + CARRIED,).
 
     ``factors`` are those of :func:`factors_of`, for as many rows as the history and the map have.
-    ``carried`` (CARRIED,) holds the places that are carried on; those off the map get −∞.
+    ``carried`` (CARRIED,) holds the places that are carried on; those off the map get −∞, and so
+    do places that are no candidates in the row.
 
     Returns:
         Rank of the candidate of the highest statistic; of equal ones the first.
     """
     top = top_at(run, frame)
+    size = shut_out(run, frame, top, out)
     window = sums[mark.origin - frame :]
     reach = min(history, frame)
     best = -math.inf
     if mark.waiting + mark.leaving > 0:
-        for rank in range(top.size):
+        for rank in range(size):
             weight = weight_of(counts, prefix, frame, min(reach, top[rank]), 1.0)
             total = with_waiting(window[np.uintp(top[rank])], mark, run, frame, top[rank])
             statistic = statistic_of(total, weight, factors, 1.0, evidence)
@@ -396,14 +411,14 @@ def best_candidate(
             best = max(best, statistic)
     elif gamma == 1.0 and frame - reach >= mark.since:
         # It ran on every frame that counts: how many these are needs no look-up.
-        for rank in range(top.size):
+        for rank in range(size):
             total = window[np.uintp(top[rank])]
             statistic = total * factors[np.uintp(min(reach, top[rank]) + 1)]
             out[rank] = statistic
             best = max(best, statistic)
     elif gamma == 1.0:
         newest = counts[frame + 1]
-        for rank in range(top.size):
+        for rank in range(size):
             before = counts[np.uintp(frame - min(reach, top[rank]))]
             total = window[np.uintp(top[rank])]
             statistic = total * factors[np.uintp(newest - before)]
@@ -411,7 +426,7 @@ def best_candidate(
             best = max(best, statistic)
     else:
         ratio = ratio_of(gamma, evidence)
-        for rank in range(top.size):
+        for rank in range(size):
             weight = weight_of(counts, prefix, frame, min(reach, top[rank]), ratio)
             total = window[np.uintp(top[rank])]
             statistic = statistic_of(total, weight, factors, gamma, evidence)
@@ -422,6 +437,8 @@ def best_candidate(
         statistic = diagonal_statistic(
             sums, mark, run, counts, prefix, factors, frame, history, gamma, evidence, place
         )
+        if statistic > -math.inf and is_masked(run, frame, place):
+            statistic = -math.inf
         out[top.size + k] = statistic
         best = max(best, statistic)
     return first_near(out, best, top.size + CARRIED)
@@ -585,7 +602,7 @@ class SIC:
                 candidate where the settings carry places on; −1 for none, or SIC alone.
 
         Raises:
-            ValueError: for scores of the wrong shape, or NaN or infinite ones.
+            ValueError: for scores of the wrong shape, or NaN or +∞; −∞ is no candidate.
         """
         scores = self._checked(row)
         frame = self._advance()
@@ -614,7 +631,7 @@ class SIC:
                 f"a score row of shape {scores.shape} for a map of {self.references} places;"
                 f" give one score per place"
             )
-        if not np.isfinite(scores).all():
+        if not (scores < np.inf).all():
             raise ValueError(f"NaN or infinite score at frame {self.frame + 1}; mend the technique")
         return scores
 

@@ -140,7 +140,8 @@ def read_regular(path: Path, limit: int, folder: int | None = None) -> bytes:
         ValueError: for what is no regular file, or a larger one.
     """
     with open_file(path, folder) as file:
-        content = file.read(limit + 1)
+        size = os.fstat(file.fileno()).st_size
+        content = file.read(min(size, limit) + 1)  # so much is allocated at once
     if len(content) > limit:
         raise ValueError(
             f"{path} has more than the {limit} bytes that such a file may have; check that it is "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from amusic_gym.bank import floored
 from amusic_gym.policy import Context, Run
 from baselines.arguments import required
 
@@ -23,7 +24,7 @@ class Raw:
 
     def locate(self, frame: int, run: Run) -> tuple[int, float]:
         """Place of the best score, ties to the lower."""
-        row = run(self.technique)
+        row = floored(run(self.technique))
         place = int(np.argmax(row))
         return place, float(row[place])
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from amusic_gym.bank import floored
 from amusic_gym.policy import Run
 
 RADIUS = 20
@@ -12,12 +13,14 @@ RADIUS = 20
 
 
 def every_row(run: Run, techniques: int) -> NDArray[np.float64]:
-    """(T, R) rows of all techniques, each of which is charged."""
-    return np.stack([run(technique) for technique in range(techniques)]).astype(np.float64)
+    """(T, R) rows of all techniques, each of which is charged; see `floored`."""
+    rows = np.stack([run(technique) for technique in range(techniques)])
+    return floored(rows.astype(np.float64))
 
 
 def standardised(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rows (..., R) to mean 0 and population σ 1; a constant row becomes zeros."""
+    rows = floored(rows)
     centred = rows - rows.mean(axis=-1, keepdims=True)
     deviation = centred.std(axis=-1, keepdims=True)
     return np.where(_constant(rows), 0.0, centred / np.where(deviation > 0, deviation, 1.0))

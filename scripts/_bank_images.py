@@ -42,6 +42,7 @@ def images(args: argparse.Namespace) -> None:
         route.query,
         tolerance=route.tolerance,
         ground_truth=route.ground_truth,
+        exclude_recent=args.exclude_recent,
         name=args.name or route.name,
     )
 
@@ -95,7 +96,13 @@ def _route(args: argparse.Namespace) -> _Route:
 
 
 def _folders(args: argparse.Namespace) -> _Route:
-    from amusic_gym.routes.image_truth import by_index, by_name, by_position, from_file
+    from amusic_gym.routes.image_truth import (
+        by_index,
+        by_name,
+        by_position,
+        from_file,
+        warn_of_shared_files,
+    )
 
     _refuse(args, ("root", "images", "first", "step"), "only goes with --dataset")
     position = {
@@ -110,13 +117,18 @@ def _folders(args: argparse.Namespace) -> _Route:
     if args.tolerance is None and args.ground_truth is None and args.truth_by != "position":
         raise ValueError("give --tolerance N, the places to either side that count as right")
     reference, query = map_of(args), run_of(args)
+    if args.exclude_recent is None:
+        warn_of_shared_files(reference, query)
     if args.ground_truth is not None:
         truth = from_file(args.ground_truth, reference, query, args.tolerance, args.trust)
     elif args.truth_by == "position":
         truth = by_position(reference, query, **position)
+        if args.tolerance is not None:
+            truth = truth.with_tolerance(args.tolerance)
+    elif args.truth_by == "name":
+        truth = by_name(reference, query, args.tolerance)
     else:
-        by = by_name if args.truth_by == "name" else by_index
-        truth = by(reference, query, args.tolerance)
+        truth = by_index(reference, query, args.tolerance, exact=args.truth_by is None)
     return _Route(reference, query, truth, args.tolerance, "")
 
 
@@ -198,8 +210,8 @@ def add_images(commands: Any) -> Parser:
     add(
         "--truth-by",
         choices=TRUTH_BY,
-        help="frame q is at place q (index, the default); at the image with the same name; or "
-        "near images by @UTM_EAST@UTM_NORTH@ in their names",
+        help="frame q is at place q (index, the default where there are as many); at the image "
+        "with the same name; or near images by @UTM_EAST@UTM_NORTH@ in their names",
     )
     add("--metres", type=float, metavar="M", help="how near, with --truth-by position")
     add(
@@ -212,9 +224,17 @@ def add_images(commands: Any) -> Parser:
         "--ground-truth",
         type=Path,
         metavar="FILE",
-        help=".npy or text: a boolean matrix, one place per query, or pairs below 'query,place'",
+        help=".npy or text: a boolean matrix, one place per query, or pairs of numbers or file "
+        "names below 'query,place'",
     )
     add("--trust", action="store_true", help="unpickle a ground truth file of VPR-Bench")
+    add(
+        "--exclude-recent",
+        type=int,
+        metavar="N",
+        help="one sequence against itself (loop closure): the N frames before each, itself and "
+        "those after it are no candidates",
+    )
     add(
         "--copies",
         action="store_true",

@@ -10,11 +10,13 @@ from _bank_tour import add_tour
 from _cli import Parser, number, pairs, run
 
 from amusic_gym.bank import ScoreBank
+from amusic_gym.bank_files import check_destination
 from amusic_gym.importers import from_arrays, from_vprbench
 
 
 def arrays(args: argparse.Namespace) -> None:
     """One .npy matrix per technique -> a bank."""
+    check_destination(args.out)
     bank = from_arrays(
         pairs(args.scores, "--scores"),
         {
@@ -24,8 +26,10 @@ def arrays(args: argparse.Namespace) -> None:
         tolerance=args.tolerance,
         ground_truth=args.ground_truth,
         name=args.name or args.out.name,
+        exclude_recent=args.exclude_recent,
+        out=args.out,
     )
-    _save(bank, args.out)
+    _tell(args.out.resolve(), bank.shape)
 
 
 def vprbench(args: argparse.Namespace) -> None:
@@ -114,9 +118,17 @@ def _parser() -> Parser:
     one.add_argument(
         "--ground-truth",
         type=Path,
-        metavar="FILE.npy",
-        help="boolean [query, reference], or one true place per query (-1: none); "
-        "without it, query q is at place q",
+        metavar="FILE",
+        help=".npy or text: boolean [query, reference], one true place per query (-1: none), or "
+        "pairs below 'query,place'; without it, query q is at place q",
+    )
+
+    one.add_argument(
+        "--exclude-recent",
+        type=int,
+        metavar="N",
+        help="one sequence against itself (loop closure): the N frames before each, itself and "
+        "those after it are no candidates",
     )
 
     two = commands.add_parser("vprbench", help="from VPR-Bench's precomputed matches")
@@ -135,7 +147,8 @@ def _parser() -> Parser:
             "--tolerance",
             type=int,
             metavar="N",
-            help="places to either side of the true one that count as right",
+            help="places to either side of the true one that count as right; not where the ground "
+            "truth lists them itself",
         )
         each.add_argument("--name", help="what to call it in tables (default: --out's name)")
 

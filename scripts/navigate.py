@@ -45,7 +45,7 @@ from amusic_gym.pictures.sightings import Pictures
 from amusic_gym.plots.labels import policy_label
 from amusic_gym.policy import Context
 from amusic_gym.routes.folders import ImageFolder, check_apart
-from amusic_gym.routes.image_truth import from_file
+from amusic_gym.routes.image_truth import from_file, warn_of_shared_files
 from amusic_gym.routes.video import Camera, VideoFile, VideoWriter
 from amusic_gym.settings import STATISTICS, SICSettings
 from amusic_gym.task import RENDER_FPS
@@ -110,13 +110,16 @@ def route_of(
 ) -> LiveRoute:
     """The live route; costs that are not given are measured."""
     options: dict[str, Any] = {"tolerance": args.tolerance, "places": places}
+    if args.tolerance is None and args.ground_truth is None:
+        options["tolerance"] = TOLERANCE
     if args.ground_truth is not None:
         if not isinstance(frames, ImageSequence):
             raise ValueError("--ground-truth needs a --query whose length is known: a folder")
         folder = frames.images
         assert isinstance(folder, ImageFolder)
-        truth = from_file(args.ground_truth, places, folder, args.tolerance)
-        options["ground_truth"] = truth
+        options["ground_truth"] = from_file(
+            args.ground_truth, places, folder, args.tolerance, args.trust, default=TOLERANCE
+        )
     given = seconds_of(args.seconds, tuple(one.technique.name for one in maps))
     if len(given) == len(maps):
         return LiveRoute(maps, frames, seconds=[given[t] for t in range(len(maps))], **options)
@@ -169,7 +172,8 @@ def check(args: argparse.Namespace) -> None:
     if args.frames is not None:
         args.frames = min(whole("--frames", args.frames, 1), sys.maxsize)
     whole("--seed", args.seed, 0)
-    check_tolerance(args.tolerance)
+    if args.tolerance is not None:
+        check_tolerance(args.tolerance)
     inputs = {"--query": args.query, "--ground-truth": args.ground_truth}
     check_outputs({"--trace": args.trace, "--video": args.video}, inputs)
 
@@ -192,6 +196,8 @@ def main(arguments: list[str] | None = None) -> None:
         places = map_of(args)
         if isinstance(frames, ImageSequence):
             check_apart(places, frames.images)
+            if isinstance(frames.images, ImageFolder):
+                warn_of_shared_files(places, frames.images)
         route = route_of(args, _maps(args, techniques, places, stack), frames, places)
         warm_up(policy, route, places, correction)
         title = f"{route.name}, {policy_label(args.policy)}"
@@ -268,10 +274,10 @@ def _parser() -> Parser:
     add(
         "--tolerance",
         type=int,
-        default=TOLERANCE,
         metavar="N",
         help="how many places apart two matches may be and still count as the same place"
-        " (default: %(default)s); with --ground-truth also how far off a match is still right",
+        f" (default: {TOLERANCE}, or what the ground truth lists); with --ground-truth of one"
+        " place per frame also how far off a match is still right",
     )
     add(
         "--ground-truth",
@@ -279,6 +285,7 @@ def _parser() -> Parser:
         metavar="FILE",
         help="the true places: only with them are matches shown as right or wrong",
     )
+    add("--trust", action="store_true", help="unpickle a ground truth file of VPR-Bench")
     add("--every", type=int, metavar="N", help="of a video: take each N-th frame")
     add("--fps", type=float, metavar="F", help="of a video: take F frames per second of it")
     add_reading(parser)

@@ -44,16 +44,22 @@ def random_bank(
     skill = rng.uniform(0.5, 2.5, (techniques, 1, 1))
     scores = np.round(levels / 6 * (noise + skill * near))
     names = names or [f"T{t}" for t in range(techniques)]
-    options = {"tolerance": 2, "name": f"bank{seed}", **options}
+    truth = np.minimum(np.arange(queries), references - 1)
+    options = {"tolerance": 2, "name": f"bank{seed}", "ground_truth": truth, **options}
     return ScoreBank(scores, names, np.linspace(1.0, 3.0, techniques), **options)
 
 
 def noisy_bank(
     rng: np.random.Generator, techniques: int, queries: int, references: int, levels: int = 4
 ) -> ScoreBank:
-    """Scores out of a few whole numbers, some rows constant: ties everywhere."""
+    """Scores out of a few whole numbers, some rows constant: ties everywhere.
+
+    In every second bank some places are no candidates of some rows, and some rows have none.
+    """
     scores = rng.integers(0, levels, (techniques, queries, references)).astype(np.float32)
     scores[rng.random((techniques, queries)) < 0.1] = 3.0
+    if rng.random() < 0.5:
+        scores[rng.random(scores.shape) < rng.random()] = -np.inf
     names = [f"T{t}" for t in range(techniques)]
     seconds, places = rng.uniform(0.1, 2.0, techniques), rng.integers(-1, references, queries)
     return ScoreBank(scores, names, seconds, tolerance=1, ground_truth=places)

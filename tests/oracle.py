@@ -47,13 +47,16 @@ class Sic(NamedTuple):
 
 
 def standardise(row: Numbers) -> list[float]:
-    """Z-scores of one score row, with the population deviation; a constant row gives zeros."""
-    values = [float(value) for value in row]
+    """Z-scores of one score row, with the population deviation; a constant row gives zeros.
+
+    A place of score -inf is no candidate: it counts for neither mean nor deviation and gets zero.
+    """
+    values = [float(value) for value in row if value != -math.inf]
     if all(value == values[0] for value in values):
-        return [0.0 for _ in values]
+        return [0.0 for _ in row]
     mean = math.fsum(values) / len(values)
     deviation = math.sqrt(math.fsum((value - mean) ** 2 for value in values) / len(values))
-    return [(value - mean) / deviation for value in values]
+    return [0.0 if value == -math.inf else (float(value) - mean) / deviation for value in row]
 
 
 def standardise_bank(scores: Numbers) -> list[list[list[float]]]:
@@ -62,9 +65,14 @@ def standardise_bank(scores: Numbers) -> list[list[list[float]]]:
 
 
 def top_candidates(row: Numbers, count: int) -> list[int]:
-    """The places of the `count` highest scores, best first, ties to the lower place."""
-    places = sorted(range(len(row)), key=lambda place: (-float(row[place]), place))
+    """The candidates of the `count` highest scores, best first, ties to the lower place."""
+    places = sorted(candidates_of(row), key=lambda place: (-float(row[place]), place))
     return places[: min(count, len(row))]
+
+
+def candidates_of(row: Numbers) -> list[int]:
+    """The places that a row does not rule out by -inf; one that rules out all says nothing."""
+    return [place for place in range(len(row)) if row[place] != -math.inf] or [*range(len(row))]
 
 
 def equal(value: float, highest: float) -> bool:
@@ -130,7 +138,7 @@ def sic(
         z = [standardise(scores[frame]) for frame in range(q + 1)]
     places = top_candidates(scores[q], candidates)
     for place in carried:
-        if place is not None and place < len(scores[q]) and place not in places:
+        if place in candidates_of(scores[q]) and place not in places:
             places.append(place)
     values = [diagonal_statistic(z, ran, q, c, past, gamma, statistic) for c in places]
     winner = first_best(values)
@@ -192,21 +200,21 @@ SERIAL_PRIOR_ROWS = 10
 SERIAL_MOST = 0.999
 
 
-def row_correlation(before: Numbers, now: Numbers) -> float:
-    """How alike two z-scored rows are, the first moved on by one place."""
-    if len(now) == 1:
-        return 0.0
-    products = [before[place - 1] * now[place] for place in range(1, len(now))]
-    return math.fsum(products) / len(products)
+def row_correlation(before: Numbers, now: Numbers, rows: Numbers, shift: int = 1) -> float:
+    """How alike two z-scored rows are, the first moved on, where both of the `rows` are finite."""
+    pairs = [(place - shift, place) for place in range(shift, len(now))]
+    both = [(a, b) for a, b in pairs if -math.inf not in (rows[0][a], rows[1][b])]
+    return math.fsum(before[a] * now[b] for a, b in both) / max(len(both), 1)
 
 
-def serial_discount(z: Numbers, ran: Numbers, q: int) -> float:
+def serial_discount(z: Numbers, ran: Numbers, q: int, scores: Numbers) -> float:
     """The factor on a technique's statistic for the serial correlation of its rows up to q."""
     pairs = [frame for frame in range(1, q + 1) if ran[frame - 1] and ran[frame]]
     total, weights = [], []
     for number, frame in enumerate(pairs):
         weight = SERIAL_FORGETTING ** (len(pairs) - 1 - number)
-        total.append(weight * row_correlation(z[frame - 1], z[frame]))
+        alike = row_correlation(z[frame - 1], z[frame], scores[frame - 1 : frame + 1])
+        total.append(weight * alike)
         weights.append(weight)
     prior = SERIAL_PRIOR_ROWS * SERIAL_FORGETTING ** len(pairs)
     rho = math.fsum([*total, prior * SERIAL_PRIOR]) / math.fsum([*weights, prior])
@@ -259,7 +267,7 @@ def music(
     if discount:
         factors = [math.nan for _ in scores]
         for t in present:
-            factors[t] = serial_discount(z[t], column(ran, t), q)
+            factors[t] = serial_discount(z[t], column(ran, t), q, scores[t])
     found = [result for result in sics if result is not None]
     unfused = Music(-1, -1, math.nan, sics, factors)
     best = first_best(
@@ -300,7 +308,7 @@ class Others(NamedTuple):
     support: float = 0.0
 
 
-def likeness(results: Sequence[Music | None], z: Numbers, technique: int) -> float:
+def likeness(results: Sequence[Music | None], z: Numbers, technique: int, scores: Numbers) -> float:
     """Mean product of a technique's z-scores and the trusted one's, where it last ran beside it."""
     for frame in range(len(results) - 1, -1, -1):
         result = results[frame]
@@ -309,11 +317,14 @@ def likeness(results: Sequence[Music | None], z: Numbers, technique: int) -> flo
         trusted, own = np.array(z[result.technique][frame]), np.array(z[technique][frame])
         if not trusted.any() or not own.any():  # of a constant row
             return 1.0
-        return float(np.mean(trusted * own))
+        rows = [scores[t][frame] for t in (result.technique, technique)]
+        return row_correlation(trusted, own, rows, shift=0)
     return 0.0
 
 
-def others(results: Sequence[Music | None], z: Numbers, memory: Memory, tolerance: int) -> Others:
+def others(
+    results: Sequence[Music | None], z: Numbers, memory: Memory, tolerance: int, scores: Numbers
+) -> Others:
     """What the other techniques say of the prediction of the last frame, on which something ran.
 
     `results` are MuSIC's up to that frame, `memory` includes it. A technique's last match may be
@@ -326,7 +337,7 @@ def others(results: Sequence[Music | None], z: Numbers, memory: Memory, toleranc
         if technique == result.technique or not matches:
             continue
         last = max(matches)
-        alike = np.clip(likeness(results, z, technique), 0.0, 1.0)
+        alike = np.clip(likeness(results, z, technique, scores), 0.0, 1.0)
         weight = (1.0 - alike) * SUPPORT_MEMORY ** (frame - last)
         weights.append(weight)
         if abs(matches[last] + frame - last - result.place) <= tolerance:

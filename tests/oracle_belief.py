@@ -109,24 +109,36 @@ def clip_place(place: int, size: int) -> int:
 # ---- rows --------------------------------------------------------------------------------
 
 
+def candidates(row: Floats) -> Floats:
+    """The scores of a row but -inf, which is for no candidate; 0 where there is none."""
+    return row[row > -math.inf] if (row > -math.inf).any() else np.zeros(1)
+
+
+def is_constant(row: Floats) -> bool:
+    return bool(candidates(row).min() == candidates(row).max())
+
+
 def z_scores(row: Floats) -> Floats:
-    if row.min() == row.max():
+    """Zero also for places that are no candidates."""
+    if is_constant(row):
         return np.zeros_like(row)
-    z: Floats = (row - row.mean()) / row.std()
-    return z
+    z: Floats = (row - candidates(row).mean()) / candidates(row).std()
+    return np.where(row > -math.inf, z, 0.0)
 
 
 def novelty_of(row: Floats, before: Floats | None) -> float | None:
     """1 - correlation; None for a technique's first row, and with a constant one."""
-    if before is None or row.min() == row.max() or before.min() == before.max():
+    if before is None or is_constant(row) or is_constant(before):
         return None
-    return clamp(1.0 - float(np.mean(z_scores(row) * z_scores(before))), 0.0, 2.0)
+    both = (row > -math.inf) & (before > -math.inf)
+    alike = float((z_scores(row) * z_scores(before)).sum()) / max(both.sum(), 1)
+    return clamp(1.0 - alike, 0.0, 2.0)
 
 
 def weight_of(rates: Rates, known: Technique, row: Floats, novelty: float | None) -> float:
     """How much a row says; takes in its deviation."""
-    constant = row.min() == row.max()
-    contrast = 0.0 if constant else float(row.std())
+    constant = is_constant(row)
+    contrast = 0.0 if constant else float(candidates(row).std())
     weight = 0.0 if constant else 1.0
     if known.last is None:
         known.contrast = contrast
@@ -149,8 +161,10 @@ def without_hubs(rates: Rates, known: Technique, row: Floats) -> Floats:
         value = z[place] - surely * rates.hub * known.usual[place]
         value /= math.sqrt(max(variance, 0.05))
         values[place] = clamp(value, -rates.most, rates.most)
-        if row.min() == row.max():
-            continue  # it tells of no place
+        if row[place] == -math.inf:
+            values[place] = 0.0 if is_constant(row) else -1000.0
+        if is_constant(row) or row[place] == -math.inf:
+            continue  # it tells of no place, or not of this one
         off = z[place] - known.usual[place]
         known.usual[place] += step * off
         known.spread[place] += step * (off * (z[place] - known.usual[place]) - known.spread[place])
@@ -368,9 +382,10 @@ class Belief:
                 by_kind[t] = likelihoods(self.rates, known, values[t])
                 factors[t] = known.kinds @ by_kind[t]
                 own[t] = own_word(looks * factors[t], row, self.tolerance, known.weight)
-        together = np.ones(self.size)
+        said = np.zeros(self.size)
         for factor in factors.values():
-            together = together * factor
+            said = said + np.log(factor)
+        together = np.exp(said - said.max())  # of many factors the product itself may vanish
         for way, line in self.lines.items():
             off = way[1] if isinstance(way, tuple) else 0
             for place in range(self.size):
@@ -387,8 +402,8 @@ class Belief:
             own[t].trust = 1.0 - known.kinds[0]
             own[t].once, own[t].twice, own[t].fourfold = known.kinds[1:]
         steady = sum(float(line.sum()) for way, line in self.lines.items() if way not in SPEEDS)
-        said = math.fsum(one.said for one in own if one is not None)
-        return Frame(place, share, rival, steady, strange, said, len(factors), places, own)
+        heard = math.fsum(one.said for one in own if one is not None)
+        return Frame(place, share, rival, steady, strange, heard, len(factors), places, own)
 
 
 # ---- routes ------------------------------------------------------------------------------

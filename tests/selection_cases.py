@@ -118,5 +118,5 @@ def follow(
         route.chosen.append(result.technique)
         route.results.append(result)
         route.recents.append(oracle.recent(route.similarities, route.results))
-        route.others.append(oracle.others(route.results, z, memory, bank.tolerance))
+        route.others.append(oracle.others(route.results, z, memory, bank.tolerance, scores))
     return route

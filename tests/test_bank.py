@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import json
 import os
 import pickle
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from amusic_gym.bank import PAPER_SECONDS, GroundTruth, ScoreBank
@@ -23,7 +24,8 @@ PAPER = ("HOG", "CALC", "CoHOG", "NetVLAD")
 def make_bank(techniques=("A", "B", "C"), queries=5, references=6, **options) -> ScoreBank:
     scores = np.random.default_rng(7).normal(size=(len(techniques), queries, references))
     seconds = np.arange(1.0, len(techniques) + 1.0)
-    return ScoreBank(scores, techniques, seconds, **{"tolerance": 1, **options})
+    options = {"tolerance": 1, "ground_truth": np.arange(queries), **options}
+    return ScoreBank(scores, techniques, seconds, **options)
 
 
 def same(first: ScoreBank, second: ScoreBank) -> bool:
@@ -100,7 +102,7 @@ def test_predictions_out_of_range_are_refused():
 
 def test_scores_become_float32_and_are_a_copy():
     scores = np.ones((1, 2, 3), np.int64)
-    bank = ScoreBank(scores, ["A"], [1.0], tolerance=0)
+    bank = ScoreBank(scores, ["A"], [1.0], tolerance=0, ground_truth=np.arange(scores.shape[1]))
     scores[:] = 5
     assert bank.scores.dtype == np.float32
     assert bank.shape == (1, 2, 3)
@@ -112,13 +114,77 @@ def test_scores_become_float32_and_are_a_copy():
 def test_a_read_only_memory_map_is_not_copied(tmp_path):
     np.save(tmp_path / "s.npy", np.ones((1, 2, 3), np.float32))
     mapped = np.load(tmp_path / "s.npy", mmap_mode="r")
-    assert np.shares_memory(ScoreBank(mapped, ["A"], [1.0], tolerance=0).scores, mapped)
+    assert np.shares_memory(
+        ScoreBank(
+            mapped, ["A"], [1.0], tolerance=0, ground_truth=np.arange(mapped.shape[1])
+        ).scores,
+        mapped,
+    )
 
 
-def test_tolerance_of_a_matrix_is_half_the_median_span():
+def test_41_tolerance_of_a_matrix_is_half_the_median_run():
     places = GroundTruth.from_places([0, 3, 4, 5, 6], tolerance=2, references=9).matrix()
     assert make_bank(references=9, ground_truth=places, tolerance=None).tolerance == 2
-    assert make_bank(references=9, ground_truth=places, tolerance=4).tolerance == 4
+    twice = np.concatenate([places, places], axis=1)  # a map of two laps
+    assert make_bank(references=18, ground_truth=twice, tolerance=None).tolerance == 2
+    places[:, [0, 8]] = True  # far extra places: the last of a frame, and the first of the next
+    assert make_bank(references=9, ground_truth=places, tolerance=None).tolerance == 2
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.data())
+def test_41_tolerance_is_half_the_median_run_in_explicit_loops(data):
+    queries, references = data.draw(st.integers(1, 6)), data.draw(st.integers(1, 12))
+    rows = st.lists(st.booleans(), min_size=references, max_size=references)
+    matrix = np.array(data.draw(st.lists(rows, min_size=queries, max_size=queries)))
+    longest = []
+    for row in matrix.tolist():
+        runs = [len(list(run)) for true, run in itertools.groupby(row) if true]
+        longest += [max(runs)] if runs else []
+    half = int(np.median(longest) / 2) if longest else 0
+    assert GroundTruth.from_matrix(matrix).half_run() == half
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.data())
+def test_42_widened_is_every_place_within_the_tolerance_in_explicit_loops(data):
+    parts = data.draw(st.lists(st.integers(1, 6), min_size=1, max_size=3))
+    references, tolerance = sum(parts), data.draw(st.integers(0, 8))
+    rows = st.lists(st.booleans(), min_size=references, max_size=references)
+    matrix = np.array(data.draw(st.lists(rows, min_size=1, max_size=4)))
+    part_of = [part for part, length in enumerate(parts) for _ in range(length)]
+    expected = [
+        [
+            any(row[c] and abs(c - r) <= tolerance and part_of[c] == part_of[r] for c in places)
+            for r in places
+        ]
+        for row, places in ((row, range(references)) for row in matrix.tolist())
+    ]
+    wide = GroundTruth.from_matrix(matrix).widened(tolerance, parts)
+    np.testing.assert_array_equal(wide.matrix(), expected)
+
+
+def test_42_a_tolerance_beside_a_matrix_is_applied_or_refused():
+    middles = np.eye(5, 6, dtype=bool)
+    assert make_bank(ground_truth=middles, tolerance=1).truth.matrix()[1].tolist()[:4] == [
+        1,
+        1,
+        1,
+        0,
+    ]
+    wide = GroundTruth.from_matrix(middles).widened(1).matrix()
+    assert make_bank(ground_truth=wide, tolerance=1).truth.matrix().tolist() == wide.tolist()
+    with pytest.raises(ValueError, match="tolerance is 3, but the ground truth lists neighbouring"):
+        make_bank(ground_truth=wide, tolerance=3)
+
+
+@pytest.mark.parametrize("shape", [(1, 5, 6), (1, 6, 5)])
+def test_43_another_number_of_queries_than_of_places_needs_ground_truth(shape):
+    sentence = (
+        rf"{shape[1]} queries on a map of {shape[2]} places.*per query.*matrix.*list of pairs"
+    )
+    with pytest.raises(ValueError, match=sentence):
+        ScoreBank(np.ones(shape), ["A"], [1.0], tolerance=0)
 
 
 @pytest.mark.parametrize(
@@ -145,7 +211,7 @@ def test_tolerance_of_a_matrix_is_half_the_median_span():
     ],
 )
 def test_bad_arguments_are_refused_with_the_mend(options, sentence):
-    good = {"scores": np.ones((3, 5, 6)), "techniques": "A B C".split(), "seconds": [1, 2, 3]}
+    good = {"scores": np.ones((3, 6, 6)), "techniques": "A B C".split(), "seconds": [1, 2, 3]}
     with pytest.raises(ValueError, match=sentence):
         ScoreBank(**{"tolerance": 0, **good, **options})
 

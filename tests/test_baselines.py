@@ -367,7 +367,14 @@ def test_cascade_on_a_route_runs_more_where_the_estimate_is_low():
 @pytest.mark.parametrize("seconds", [(1.0, 2.0, 3.0), (3.0, 1.0, 1.0)])
 def test_oracle_runs_the_cheapest_technique_that_is_right(statistic, plain, seconds):
     scores = random_bank(5, queries=40).scores
-    bank = ScoreBank(scores, ["T0", "T1", "T2"], seconds, tolerance=1, name="route")
+    bank = ScoreBank(
+        scores,
+        ["T0", "T1", "T2"],
+        seconds,
+        tolerance=1,
+        name="route",
+        ground_truth=np.arange(scores.shape[1]),
+    )
     truth = bank.truth.matrix()
     z = loops.standardise_bank(scores)
     cheapest_first = sorted(range(3), key=lambda t: (seconds[t], t))
@@ -390,7 +397,14 @@ def test_oracle_runs_the_cheapest_technique_that_is_right(statistic, plain, seco
 @pytest.mark.parametrize("seconds", [(1.0, 2.0, 3.0), (3.0, 1.0, 1.0)])
 def test_oracle_of_the_belief_runs_the_cheapest_technique_that_is_right(seconds):
     scores = random_bank(5, queries=40).scores
-    bank = ScoreBank(scores, ["T0", "T1", "T2"], seconds, tolerance=1, name="route")
+    bank = ScoreBank(
+        scores,
+        ["T0", "T1", "T2"],
+        seconds,
+        tolerance=1,
+        name="route",
+        ground_truth=np.arange(scores.shape[1]),
+    )
     truth, one = bank.truth.matrix(), np.eye(3, dtype=np.bool_)
     cheapest_first = sorted(range(3), key=lambda t: (seconds[t], t))
     env = TechniqueSelectionEnv(bank, statistic="belief")

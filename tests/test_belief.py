@@ -51,6 +51,17 @@ def patterned(rng, queries: int, techniques: int, activity: float):
 # ---- explicit loops ----------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("spread", [40, 1])
+def test_13_many_techniques_that_disagree_or_agree_give_finite_numbers(spread):
+    techniques, places = 400, 40
+    scores = np.zeros((techniques, 3, places), np.float32)
+    for query in range(3):
+        scores[np.arange(techniques), query, (np.arange(techniques) + query) % spread] = 1
+    names = [f"T{t}" for t in range(techniques)]
+    bank = ScoreBank(scores, names, np.ones(techniques), tolerance=1, ground_truth=[0, 1, 2])
+    compare(bank, np.ones((3, techniques), bool))
+
+
 @settings(max_examples=40, deadline=None)
 @given(seeds, st.tuples(st.integers(1, 4), st.integers(1, 20)), st.floats(0.1, 1.0), st.booleans())
 def test_filter_is_the_loops_on_noise_and_constant_rows(seed, size, activity, fitted):
@@ -80,7 +91,13 @@ def aliased(bank: ScoreBank) -> ScoreBank:
     """The second half of the map looks like the first."""
     half = bank.references // 2
     scores = np.concatenate([bank.scores[:, :, :half]] * 2, axis=2)
-    return ScoreBank(scores, bank.techniques, bank.seconds, tolerance=bank.tolerance)
+    return ScoreBank(
+        scores,
+        bank.techniques,
+        bank.seconds,
+        tolerance=bank.tolerance,
+        ground_truth=np.arange(scores.shape[1]),
+    )
 
 
 def still(bank: ScoreBank) -> ScoreBank:
@@ -88,7 +105,13 @@ def still(bank: ScoreBank) -> ScoreBank:
     scores = np.array(bank.scores)
     scores[:, 12:19] = scores[:, 12:13]
     scores[0, 25:] = scores[0, 25]
-    return ScoreBank(scores, bank.techniques, bank.seconds, tolerance=bank.tolerance)
+    return ScoreBank(
+        scores,
+        bank.techniques,
+        bank.seconds,
+        tolerance=bank.tolerance,
+        ground_truth=np.arange(scores.shape[1]),
+    )
 
 
 @pytest.mark.parametrize("kind", ["smooth", "aliased", "still", "retimed", "simulated"])
@@ -191,7 +214,9 @@ def test_the_future_changes_nothing(seed):
     cut = int(rng.integers(1, 30))
     scores = np.array(bank.scores)
     scores[:, cut:] = rng.normal(size=scores[:, cut:].shape)
-    other = ScoreBank(scores, bank.techniques, bank.seconds, tolerance=2)
+    other = ScoreBank(
+        scores, bank.techniques, bank.seconds, tolerance=2, ground_truth=np.arange(scores.shape[1])
+    )
     ran = patterned(rng, 30, 3, 0.7)
     first, second = ([*map(fingerprint, steps_of(b, ran))] for b in (bank, other))
     assert first[:cut] == second[:cut]
@@ -215,7 +240,13 @@ def test_the_order_of_techniques_does_not_matter(seed, order):
     rng = np.random.default_rng(seed)
     bank = random_bank(int(rng.integers(100)), techniques=4, queries=30, levels=1000)
     names = [bank.techniques[t] for t in order]
-    other = ScoreBank(bank.scores[order], names, bank.seconds[order], tolerance=2)
+    other = ScoreBank(
+        bank.scores[order],
+        names,
+        bank.seconds[order],
+        tolerance=2,
+        ground_truth=np.arange(bank.queries),
+    )
     ran = patterned(rng, 30, 4, 0.6)
     for one, two in zip(steps_of(bank, ran), steps_of(other, ran[:, order]), strict=True):
         first, second = one[0][4], two[0][4]
@@ -235,7 +266,9 @@ def test_units_of_the_scores_do_not_matter(seed):
     bank = random_bank(int(rng.integers(100)), queries=30)
     factors = rng.choice([0.001, 0.3, 1.0, 70.0], (3, 1, 1))
     scores = factors * (bank.scores.astype(np.float64) + rng.integers(-30, 30, (3, 1, 1)))
-    other = ScoreBank(scores, bank.techniques, bank.seconds, tolerance=2)
+    other = ScoreBank(
+        scores, bank.techniques, bank.seconds, tolerance=2, ground_truth=np.arange(scores.shape[1])
+    )
     ran = patterned(rng, 30, 3, 0.7)
     for one, two in zip(steps_of(bank, ran), steps_of(other, ran), strict=True):
         np.testing.assert_allclose(one[1], two[1], rtol=0, atol=1e-4)

@@ -338,8 +338,12 @@ def test_34_interrupt_keeps_what_is_finished(tmp_path):
 
 def test_nothing_runs_when_a_policy_is_wrong(tmp_path):
     lineup = Lineup("music", "single:T9")
-    with pytest.raises(ValueError, match="unknown technique 'T9'"):
-        compare(two_banks(), lineup, tmp_path / "out", report=len)
+    banks = two_banks()
+    with pytest.raises(ValueError, match=f"bank '{banks[0].name}': unknown technique 'T9'"):
+        compare(banks, lineup, tmp_path / "out", report=len)
+    lacking = [banks[0], banks[1].subset(["T0"])]
+    with pytest.raises(ValueError, match=f"bank '{banks[1].name}': unknown technique 'T1'"):
+        compare(lacking, Lineup("single:T1"), tmp_path / "out", report=len)
     assert lineup.runs == []
     assert not (tmp_path / "out").exists()
 

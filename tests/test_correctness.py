@@ -37,7 +37,14 @@ def script(monkeypatch):
 def trace(technique: str, right: list[int], estimates: list[float] | None) -> Trace:
     """A trace that is right where `right` says so."""
     frames = len(right)
-    bank = ScoreBank(np.zeros((1, frames, 9)), [technique], [1.0], tolerance=0, name="route")
+    bank = ScoreBank(
+        np.zeros((1, frames, 9)),
+        [technique],
+        [1.0],
+        tolerance=0,
+        name="route",
+        ground_truth=np.arange(frames),
+    )
     predictions = [q if on else 8 for q, on in enumerate(right)]
     return Trace.join(
         bank,
@@ -111,7 +118,13 @@ def two_timings(script) -> list:
     drive = script("_random_activity").Drive
 
     def made(bank, timing, correct, estimates, ran, right, statistic):
-        route = ScoreBank(np.zeros((2, len(correct), 9)), ["A", "B"], [1.0, 2.0], tolerance=0)
+        route = ScoreBank(
+            np.zeros((2, len(correct), 9)),
+            ["A", "B"],
+            [1.0, 2.0],
+            tolerance=0,
+            ground_truth=np.arange(len(correct)),
+        )
         told = Trace.join(
             route,
             predictions=[q if on else 8 for q, on in enumerate(correct)],

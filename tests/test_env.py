@@ -196,7 +196,13 @@ def test_wrong_compute_weights_are_refused(bank, weight):
 
 
 def test_empty_action_runs_the_cheapest(bank):
-    costly_first = ScoreBank(bank.scores, bank.techniques, [3.0, 1.0, 1.0], tolerance=2)
+    costly_first = ScoreBank(
+        bank.scores,
+        bank.techniques,
+        [3.0, 1.0, 1.0],
+        tolerance=2,
+        ground_truth=np.arange(bank.queries),
+    )
     env = TechniqueSelectionEnv(costly_first)
     env.reset(seed=0)
     info = env.step([0, 0, 0])[4]

@@ -29,6 +29,7 @@ from amusic_gym.techniques import Technique
 
 extract_module = importlib.import_module("amusic_gym.extraction.extract")
 REFERENCES, QUERIES = BLOCK + 6, BLOCK + 1
+FRAMES = np.arange(QUERIES)
 SECONDS = {"Tiny": 0.5, "TwoSided": 0.25, "KnowsItsBlock": 0.125}
 SECONDS_OF_ONE = {"Tiny": 0.5}
 
@@ -56,7 +57,15 @@ def cache(tmp_path_factory):
 @pytest.fixture(scope="module")
 def extracted(folders, cache):
     techniques = [Tiny(), TwoSided(), KnowsItsBlock()]
-    return extract(*folders, techniques, tolerance=1, seconds=SECONDS, cache=cache, name="both")
+    return extract(
+        *folders,
+        techniques,
+        tolerance=1,
+        ground_truth=FRAMES,
+        seconds=SECONDS,
+        cache=cache,
+        name="both",
+    )
 
 
 def test_the_bank_holds_each_querys_scores(folders, extracted):
@@ -86,9 +95,12 @@ def test_joined_folders_match_part_by_part(tmp_path):
         for n in (0, 1)
     ]
     places, frames = ImageFolder.join(parts[0] + parts[1]), ImageFolder.join(parts[2] + parts[3])
-    bank = extract(places, frames, [Tiny()], tolerance=0, cache=tmp_path / "cache")
+    options = {"tolerance": 1, "cache": tmp_path / "cache"}
+    with pytest.raises(ValueError, match=r"3 \+ 3 images, .* 3 \+ 4: frame q cannot be at place q"):
+        extract(places, frames, [Tiny()], **options)
+    bank = extract(frames, frames, [Tiny()], **{**options, "tolerance": 0})
     assert bank.truth.places.tolist() == [0, 1, 2, 3, 4, 5]
-    bank = extract(places, frames, [Tiny()], tolerance=1, cache=tmp_path / "cache")
+    bank = extract(frames, frames, [Tiny()], **options)
     assert 3 not in bank.truth.places[bank.truth.indptr[2] : bank.truth.indptr[3]]
 
 
@@ -104,6 +116,7 @@ def test_on_disk_it_is_the_same_bank(folders, extracted, cache, tmp_path):
         *folders,
         [Tiny(), TwoSided(), KnowsItsBlock()],
         tolerance=1,
+        ground_truth=FRAMES,
         seconds=SECONDS,
         cache=cache,
         out=tmp_path / "bank",
@@ -117,7 +130,9 @@ def test_on_disk_it_is_the_same_bank(folders, extracted, cache, tmp_path):
 
 
 def test_a_technique_may_be_given_by_name(folders, cache):
-    bank = extract(*folders, ["extraction_cases:Tiny"], tolerance=1, cache=cache)
+    bank = extract(
+        *folders, ["extraction_cases:Tiny"], tolerance=1, ground_truth=FRAMES, cache=cache
+    )
     assert bank.techniques == ("Tiny",)
 
 
@@ -132,6 +147,7 @@ def test_an_image_that_is_both_query_and_place_is_described_once(folders, tmp_pa
 def test_descriptors_are_not_needed_where_scores_are_known(folders, tmp_path):
     log = tmp_path / "log"
     arguments = {"tolerance": 1, "seconds": SECONDS_OF_ONE, "cache": tmp_path / "cache"}
+    arguments["ground_truth"] = FRAMES
     first = extract(*folders, [Tiny(log=log)], **arguments)
     sides = [images_of(ImageFolder(folder)) for folder in folders]
     plan = Plan.of(Tiny(), *sides)
@@ -213,7 +229,7 @@ def test_an_unsteady_measurement_is_warned_of_each_time_and_told(monkeypatch, fo
 
 def test_seconds_are_measured_once_per_machine(folders, tmp_path):
     log = tmp_path / "log"
-    arguments = {"tolerance": 1, "cache": tmp_path / "cache"}
+    arguments = {"tolerance": 1, "ground_truth": FRAMES, "cache": tmp_path / "cache"}
 
     def measured(**options):
         log.unlink(missing_ok=True)
@@ -340,7 +356,7 @@ class Wrong(Technique):
 )
 def test_what_a_technique_must_not_give(folders, tmp_path, technique, message):
     with pytest.raises(ValueError, match=message):
-        extract(*folders, [technique], tolerance=1, cache=tmp_path)
+        extract(*folders, [technique], tolerance=1, ground_truth=FRAMES, cache=tmp_path)
 
 
 def test_blocks_of_different_shape_are_refused(folders, tmp_path):
@@ -368,6 +384,7 @@ def test_blocks_of_different_shape_are_refused(folders, tmp_path):
 )
 def test_bad_arguments_are_refused_before_any_work(folders, tmp_path, arguments, message):
     given = {"reference": folders[0], "query": folders[1], "techniques": [Tiny()], "tolerance": 1}
+    given["ground_truth"] = FRAMES
     with pytest.raises((ValueError, FileNotFoundError), match=message):
         extract(**{**given, **arguments}, cache=tmp_path / "cache")
     assert not (tmp_path / "cache").exists()
@@ -397,7 +414,15 @@ def test_an_image_that_changes_in_between_is_noticed(tmp_path):
 
 
 def test_progress_is_a_line_per_technique_where_there_is_no_terminal(folders, cache, capsys):
-    extract(*folders, [Tiny()], tolerance=1, seconds=SECONDS_OF_ONE, cache=cache, progress=True)
+    extract(
+        *folders,
+        [Tiny()],
+        tolerance=1,
+        ground_truth=FRAMES,
+        seconds=SECONDS_OF_ONE,
+        cache=cache,
+        progress=True,
+    )
     out, err = capsys.readouterr()
     assert out.startswith(f"Tiny: {QUERIES} queries × {REFERENCES} places in ")
     assert out.count("\n") == 1
@@ -411,7 +436,15 @@ def test_progress_is_a_bar_with_rate_and_time_left_on_a_terminal(folders, tmp_pa
 
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    extract(*folders, [Tiny()], tolerance=1, seconds=SECONDS_OF_ONE, cache=tmp_path, progress=True)
+    extract(
+        *folders,
+        [Tiny()],
+        tolerance=1,
+        ground_truth=FRAMES,
+        seconds=SECONDS_OF_ONE,
+        cache=tmp_path,
+        progress=True,
+    )
     shown = terminal.getvalue()
     for title, total, unit in (
         ("map", REFERENCES, "images"),

@@ -288,7 +288,13 @@ def test_by_index_is_what_a_bank_takes_by_default(tmp_path):
     reference, query = numbered(tmp_path / "r", 6), numbered(tmp_path / "q", 4)
     truth = image_truth.by_index(reference, query, tolerance=1)
     np.testing.assert_array_equal(truth.matrix(), band(4, 6, 1))
-    default = ScoreBank(np.zeros((1, 4, 6)), ["T"], [1.0], tolerance=1)
+    default = ScoreBank(
+        np.zeros((1, 4, 6)),
+        ["T"],
+        [1.0],
+        tolerance=1,
+        ground_truth=np.arange(4),
+    )
     bank = ScoreBank(np.zeros((1, 4, 6)), ["T"], [1.0], tolerance=1, ground_truth=truth)
     np.testing.assert_array_equal(bank.truth.matrix(), default.truth.matrix())
 
@@ -409,6 +415,65 @@ def test_from_file_reads_a_matrix_and_pairs(tmp_path, pair, separator):
     (tmp_path / "pairs.csv").write_text("\n".join([f"Query{separator}place", *pairs[::-1], *pairs]))
     truth = image_truth.from_file(tmp_path / "pairs.csv", *pair)
     np.testing.assert_array_equal(truth.matrix(), matrix)
+
+
+@pytest.mark.parametrize("header", ["query,reference", "Query_Name;Ref Name", "reference\tquery"])
+def test_43_from_file_reads_pairs_of_file_names(tmp_path, header):
+    reference = traverse(tmp_path / "r", ["a 1", "b", "sub/b", "0005"])  # sorted: 0005, a 1, …
+    query = traverse(tmp_path / "q", ["x", "y"])
+    separator = next(each for each in ",;\t" if each in header)
+    rows = [("x.png", "a 1.png"), ("q/y.png", "sub/b.png"), ("y", "0005"), ("1", "2")]
+    if header.startswith("reference"):
+        rows = [(place, query) for query, place in rows]
+    text = [separator.join(row) for row in rows]
+    (tmp_path / "pairs.csv").write_text("\n".join(["# of mine", header, *text]))
+    truth = image_truth.from_file(tmp_path / "pairs.csv", reference, query)
+    numbers = {name: at for at, name in enumerate(reference.names)}
+    expected = np.zeros((2, 4), bool)
+    expected[0, numbers["a 1.png"]] = True
+    expected[1, [numbers["sub/b.png"], numbers["0005.png"], 2]] = True
+    np.testing.assert_array_equal(truth.matrix(), expected)
+
+
+@pytest.mark.parametrize(
+    ("row", "sentence"),
+    [
+        ("x,b.jpg", r"line 2: 'b\.jpg' is no image's name and no whole number"),
+        ("x,elsewhere/b.png", "'elsewhere/b.png' names several images; give the path"),
+        ("z,b", "'z' is no image's name"),
+        ("0,1,2", r"lines of \[3\] numbers or names, as line 2"),
+    ],
+)
+def test_43_from_file_refuses_names_that_are_no_image_s(tmp_path, row, sentence):
+    reference, query = traverse(tmp_path / "r", ["a/b", "c/b"]), traverse(tmp_path / "q", ["x"])
+    (tmp_path / "pairs.csv").write_text(f"query,reference\n{row}\n")
+    with pytest.raises(ValueError, match=sentence):
+        image_truth.from_file(tmp_path / "pairs.csv", reference, query)
+
+
+@pytest.mark.parametrize("form", ["pairs.csv", "matrix.npy", "matrix.csv"])
+@pytest.mark.parametrize(("width", "tolerance"), [(0, 2), (2, 2), (1, 2), (2, 0), (0, 0)])
+def test_42_a_tolerance_beside_a_list_holds_or_is_refused(tmp_path, form, width, tolerance):
+    pair = numbered(tmp_path / "r", 30), numbered(tmp_path / "q", 9)
+    centres = 3 * np.arange(9)
+    listed = GroundTruth.from_places(centres, width, 30)
+    match form:
+        case "pairs.csv":
+            rows = [f"{q},{r}" for q, r in np.argwhere(listed.matrix())]
+            (tmp_path / form).write_text("\n".join(["query,place", *rows]))
+        case "matrix.npy":
+            np.save(tmp_path / form, listed.matrix())
+        case _:
+            np.savetxt(tmp_path / form, listed.matrix(), "%d", ",")
+    if width not in (0, tolerance):
+        with pytest.raises(
+            ValueError, match=rf"tolerance is {tolerance}, but .* stand for {width}"
+        ):
+            image_truth.from_file(tmp_path / form, *pair, tolerance=tolerance)
+        return
+    truth = image_truth.from_file(tmp_path / form, *pair, tolerance=tolerance)
+    expected = GroundTruth.from_places(centres, tolerance, 30)
+    np.testing.assert_array_equal(truth.matrix(), expected.matrix())
 
 
 def test_from_file_reads_numpy_files(tmp_path, pair):

@@ -83,7 +83,9 @@ def test_environments_in_several_python_threads_may_share_a_bank():
     rising = np.arange(20_000.0)  # every place is better than those before: ranking takes long
     scores = np.tile(rising, (2, 6, 1))
     for _ in range(4):
-        bank = ScoreBank(scores, ["A", "B"], [1.0, 2.0], tolerance=1)
+        bank = ScoreBank(
+            scores, ["A", "B"], [1.0, 2.0], tolerance=1, ground_truth=np.arange(scores.shape[1])
+        )
         envs = [make(1, 2, bank=bank) for _ in range(4)]
         started = threading.Barrier(len(envs))
 

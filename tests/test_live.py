@@ -6,6 +6,7 @@ import copy
 import pickle
 import re
 import warnings
+import zlib
 from functools import cache
 from pathlib import Path
 
@@ -71,6 +72,35 @@ def test_any_actions_give_what_the_bank_gives(data):
         actions[:, -1] = rng.random(110) < reselect
     wanted = play(TechniqueSelectionEnv(bank, **arguments), actions, seed)
     assert_same(play(TechniqueSelectionEnv(live, **arguments), actions, seed), wanted)
+
+
+class Masking:
+    """A map on which some places are no candidates, and all of them of some rows."""
+
+    def __init__(self, described) -> None:
+        self.described = described
+        self.technique, self.references = described.technique, described.references
+        self.describe_query = described.describe_query
+
+    def scores(self, query):
+        row = self.described.scores(query).copy()
+        rng = np.random.default_rng(zlib.crc32(row.tobytes()))
+        row[rng.random(row.size) < rng.uniform(0.0, 1.2)] = -np.inf
+        return row
+
+
+@pytest.mark.parametrize("statistic", ["evidence", "mean", "belief"])
+@pytest.mark.parametrize("block", [None, 4])
+def test_49_masked_rows_give_what_the_bank_gives(statistic, block):
+    maps, images = [Masking(one) for one in maps_of(20)], traverse(40, seed=2)
+    bank = bank_of(maps, images)
+    assert 0.2 < np.isneginf(bank.scores).mean() < 0.9
+    assert np.isneginf(bank.scores).all(axis=2).any()
+    arguments = {"statistic": statistic, "reselection": block, "history": 8}
+    actions = random_actions(7, 39, (len(NAMES) + (block is not None),), reselect=0.1)
+    wanted = play(TechniqueSelectionEnv(bank, **arguments), actions)
+    live = live_of(maps, images, ground_truth=bank.truth)
+    assert_same(play(TechniqueSelectionEnv(live, **arguments), actions), wanted)
 
 
 @pytest.mark.parametrize(

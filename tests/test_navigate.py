@@ -153,7 +153,7 @@ def test_the_trace_is_that_of_a_bank_of_the_same_images(navigate, world, tmp_pat
     assert code == 0
     bank = extract(
         world / "map", world / "run", ["hog", COUNTING], tolerance=2, seconds=seconds,
-        cache=world / "cache",
+        ground_truth=np.arange(8), cache=world / "cache",
     )  # fmt: skip
     from amusic_gym.policy import Context
 
@@ -263,6 +263,22 @@ def test_a_number_is_a_camera(navigate, monkeypatch):
     assert [(camera.name, camera.closed) for camera in cameras] == [("camera 3", True)]
 
 
+def test_42_ground_truth_of_vprbench_is_read_with_trust(navigate, world, tmp_path):
+    rows = np.empty((FRAMES, 2), object)
+    for frame in range(FRAMES):
+        rows[frame] = frame, [frame, frame + 1]
+    np.save(tmp_path / "truth.npy", rows, allow_pickle=True)
+    given = {"ground-truth": str(tmp_path / "truth.npy")}
+    code, _, err = navigate(**given)
+    assert code == 2
+    assert "pass trust=True (--trust)" in err
+    code, out, err = navigate("--trust", **given)
+    assert (code, err) == (0, "")
+    code, _, err = navigate("--trust", **given, tolerance="5")
+    assert code == 2
+    assert "tolerance is 5, but the ground truth lists neighbouring places" in err
+
+
 # ---- pictures ----------------------------------------------------------------------------
 
 
@@ -367,7 +383,7 @@ def test_a_bad_image_on_the_way_keeps_what_was_written(navigate, world, tmp_path
     run = tmp_path / "run"
     run.mkdir()
     for i, view in enumerate(views(5)):
-        cv2.imwrite(str(run / f"img{i}.png"), view)
+        cv2.imwrite(str(run / f"img{i}.png"), view // 2)
     (run / "img3.png").write_bytes(b"garbage")
     trace = tmp_path / "trace.csv"
     code, out, err = navigate(query=str(run), trace=str(trace))

@@ -292,7 +292,9 @@ def test_the_belief_has_entries_of_its_own(bank):
     """None of them stays at one value, and a row that repeats the last one weighs less."""
     scores = np.array(bank.scores)
     scores[0, 20:25] = scores[0, 20]  # the robot stands
-    standing = ScoreBank(scores, bank.techniques, bank.seconds, tolerance=2)
+    standing = ScoreBank(
+        scores, bank.techniques, bank.seconds, tolerance=2, ground_truth=np.arange(scores.shape[1])
+    )
     env = TechniqueSelectionEnv(standing, statistic="belief")
     names = observation_names(bank.techniques)
     seen = [env.reset(seed=0)[0], *(env.step([1, 1, 1])[0] for _ in range(40))]

@@ -68,7 +68,14 @@ def localise(policy, bank):
 def four():
     """Four techniques of different skill and cost, not in order of cost."""
     bank = random_bank(5, techniques=4, queries=50, references=70, levels=300)
-    return ScoreBank(bank.scores, bank.techniques, [2.0, 0.5, 3.0, 1.0], tolerance=2, name="four")
+    return ScoreBank(
+        bank.scores,
+        bank.techniques,
+        [2.0, 0.5, 3.0, 1.0],
+        tolerance=2,
+        name="four",
+        ground_truth=np.arange(bank.queries),
+    )
 
 
 # ---- the contract, for every line of the registry ------------------------------------------------
@@ -110,7 +117,14 @@ def test_the_future_does_not_change_the_past(spec, four):
     now = 30
     scores = four.scores.copy()
     scores[:, now:] = np.random.default_rng(8).normal(size=scores[:, now:].shape)
-    other = ScoreBank(scores, four.techniques, four.seconds, tolerance=2, name="other")
+    other = ScoreBank(
+        scores,
+        four.techniques,
+        four.seconds,
+        tolerance=2,
+        name="other",
+        ground_truth=np.arange(scores.shape[1]),
+    )
     one, two = run(spec, four), run(spec, other)
     for name in ("predictions", "confidence", "ran"):
         first, second = getattr(one, name), getattr(two, name)
@@ -181,7 +195,14 @@ def test_along_a_live_route_as_on_its_bank(spec):
 def test_any_scale_and_offset_of_a_techniques_scores_is_the_same(spec, four):
     scores = four.scores.astype(np.float64) * np.array([4.0, 0.5, 1.0, 32.0])[:, None, None]
     scores += np.array([1.0, -64.0, 0.0, 2.0])[:, None, None]
-    other = ScoreBank(scores, four.techniques, four.seconds, tolerance=2, name="other")
+    other = ScoreBank(
+        scores,
+        four.techniques,
+        four.seconds,
+        tolerance=2,
+        name="other",
+        ground_truth=np.arange(scores.shape[1]),
+    )
     one, two = run(spec, four), run(spec, other)
     np.testing.assert_array_equal(one.predictions, two.predictions)
     np.testing.assert_allclose(one.confidence, two.confidence, atol=1e-9)
@@ -379,7 +400,13 @@ def test_mpf_is_the_loops(radius, four):
 
 
 def test_mpf_forgets_what_is_older_than_twenty_frames(four):
-    cut = ScoreBank(four.scores[:, 10:], four.techniques, four.seconds, tolerance=2)
+    cut = ScoreBank(
+        four.scores[:, 10:],
+        four.techniques,
+        four.seconds,
+        tolerance=2,
+        ground_truth=np.arange(four.queries - 10),
+    )
     late = run("mpf", cut)
     whole = run("mpf", four)
     assert (whole.confidence[10:29] != late.confidence[:19]).any()
@@ -570,7 +597,9 @@ def test_hmm_is_the_dense_forward_algorithm(beta, jump, four):
 def test_hmm_survives_overwhelming_evidence_against_its_belief():
     scores = np.zeros((3, 40, 50))
     scores[:, np.arange(40), np.arange(40) // 20 * 49] = 1.0
-    bank = ScoreBank(scores, ["T0", "T1", "T2"], [1, 1, 1], tolerance=1)
+    bank = ScoreBank(
+        scores, ["T0", "T1", "T2"], [1, 1, 1], tolerance=1, ground_truth=np.arange(scores.shape[1])
+    )
     places, confidence = localise(MarkovFilter(100.0, 1e-9), bank)
     assert places == (0,) * 20 + (49,) * 20
     assert np.isfinite(confidence).all()
@@ -676,7 +705,9 @@ def test_techniques_that_are_always_right_or_always_wrong():
     scores = np.zeros((2, 12, 30))
     scores[0, np.arange(12), np.arange(12)] = 1.0 + np.arange(12)
     scores[1, :, 29] = 1.0
-    bank = ScoreBank(scores, ["good", "bad"], [1, 1], tolerance=0)
+    bank = ScoreBank(
+        scores, ["good", "bad"], [1, 1], tolerance=0, ground_truth=np.arange(scores.shape[1])
+    )
     learned = Experience.of([bank])
     assert (learned.p_right[0] == 1).all()
     assert (learned.p_right[1] == 0).all()

@@ -461,7 +461,16 @@ def test_the_technique_that_is_always_right_is_found(tmp_path):
     """It is dear, and beside those that never are it pays less than alone."""
     scores = np.random.default_rng(0).normal(size=(3, 40, 60))
     scores[1] = np.eye(40, 60) * 30.0
-    bank, weight = ScoreBank(scores, ["A", "B", "C"], [1.0, 2.0, 1.0], tolerance=1), 0.5
+    bank, weight = (
+        ScoreBank(
+            scores,
+            ["A", "B", "C"],
+            [1.0, 2.0, 1.0],
+            tolerance=1,
+            ground_truth=np.arange(scores.shape[1]),
+        ),
+        0.5,
+    )
     tried = {"iterations": 2, "states": 320, "subsets": 7, "hold": 6, "horizon": 12}
     config = small(
         n_envs=16,

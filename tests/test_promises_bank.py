@@ -9,13 +9,16 @@ import shutil
 import socket
 import subprocess
 import sys
+import tracemalloc
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from amusic_gym import bank_files, storage
+from amusic_gym import bank_files, importers, storage
 from amusic_gym.bank import GroundTruth, ScoreBank
 from amusic_gym.importers import from_arrays, from_vprbench
 
@@ -25,7 +28,14 @@ ROOT = Path(__file__).resolve().parent.parent
 def make_bank(value: float = 0.0, techniques: int = 2) -> ScoreBank:
     names = [f"T{i}" for i in range(techniques)]
     scores = np.full((techniques, 6, 8), value)
-    return ScoreBank(scores, names, np.ones(techniques), tolerance=1, name="route")
+    return ScoreBank(
+        scores,
+        names,
+        np.ones(techniques),
+        tolerance=1,
+        name="route",
+        ground_truth=np.arange(scores.shape[1]),
+    )
 
 
 @pytest.fixture
@@ -62,7 +72,7 @@ def run_script(*arguments: object) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize("shape", [(1, 1, 1), (2, 1, 5), (3, 1, 1)])
 def test_12_one_query_or_reference_works(shape, tmp_path):
     names = [f"T{i}" for i in range(shape[0])]
-    bank = ScoreBank(np.zeros(shape), names, np.ones(shape[0]), tolerance=3)
+    bank = ScoreBank(np.zeros(shape), names, np.ones(shape[0]), tolerance=3, ground_truth=[0])
     assert bank.shape == ScoreBank.load(bank.save(tmp_path / "b"), verify=True).shape == shape
     assert bank.truth.correct([0]).tolist() == [True]
     assert bank.prepared(50).candidates == shape[2]
@@ -74,12 +84,21 @@ def test_12_zero_of_anything_is_refused(shape):
         ScoreBank(np.zeros(shape), ["A"] * shape[0], np.ones(shape[0]), tolerance=0)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300, -1e300])
 def test_13_a_score_that_is_not_finite_is_refused_by_technique_and_frame(bad):
-    scores = np.zeros((2, 6, 8))
+    scores = np.zeros((2, 8, 8))
     scores[1, 4, 2] = bad
     with pytest.raises(ValueError, match="technique 'T1' at frame 4, place 2 is"):
         ScoreBank(scores, ["T0", "T1"], [1, 1], tolerance=0)
+
+
+def test_49_minus_infinity_is_no_candidate_and_stays(tmp_path):
+    scores = np.zeros((2, 8, 8))
+    scores[1, 4, 2] = -np.inf
+    bank = ScoreBank(scores, ["T0", "T1"], [1, 1], tolerance=0)
+    loaded = ScoreBank.load(bank.save(tmp_path / "bank"), verify=True)
+    loaded.check_finite()
+    assert loaded.scores[1, 4, 2] == -np.inf
 
 
 def test_13_a_bank_on_disk_is_checked_on_demand(saved):
@@ -366,7 +385,7 @@ if not swap:
     storage._swap = lambda *_: False
 
 def bank(value):
-    return ScoreBank(np.full((2, 6, 8), value), ["A", "B"], [1, 1], tolerance=1)
+    return ScoreBank(np.full((2, 6, 6), value), ["A", "B"], [1, 1], tolerance=1)
 
 def killed_at(call):
     left = [call]
@@ -479,7 +498,7 @@ if not swaps:  # as on file systems that cannot
     storage._swap = lambda *_: False
 
 def bank(value):
-    return ScoreBank(np.full((value, 20, 30), value), [f"{value}-{i}" for i in range(value)],
+    return ScoreBank(np.full((value, 30, 30), value), [f"{value}-{i}" for i in range(value)],
                      np.full(value, value), tolerance=value, name=str(value))
 
 bank(1).save(path)
@@ -502,7 +521,7 @@ while writers:
             raise  # with the swap, the name is never empty
     else:
         value = loaded.tolerance
-        assert loaded.shape == (value, 20, 30) and (loaded.scores == value).all()
+        assert loaded.shape == (value, 30, 30) and (loaded.scores == value).all()
         assert loaded.name == str(value) and (loaded.seconds == value).all()
         seen.add(value)
         reads += 1
@@ -523,6 +542,83 @@ def test_28_two_writers_at_once_give_one_result_whole(tmp_path, way):
     done = run_python(TWO_WRITERS, tmp_path / "bank", way)
     assert done.returncode == 0, done.stderr
     assert done.stdout == "whole True\n"
+
+
+# ---- scores that are none ------------------------------------------------------------------
+
+
+@pytest.fixture
+def similarities(tmp_path) -> np.ndarray:
+    """(40, 40): query q is most like place q; also in a file."""
+    scores = np.random.default_rng(0).random((40, 40)) + np.eye(40)
+    np.save(tmp_path / "a.npy", scores)
+    return scores
+
+
+def arrays_of(tmp_path, scores, **options):
+    np.save(tmp_path / "a.npy", scores)
+    return from_arrays({"A": tmp_path / "a.npy"}, {"A": 1}, **{"tolerance": 0, **options})
+
+
+@pytest.mark.parametrize("fortran", [False, True])
+@pytest.mark.parametrize("kind", [np.float64, np.float32, np.int16])
+def test_49_distances_are_refused_with_a_hint(tmp_path, similarities, fortran, kind):
+    scores = np.array(100 * similarities, kind, order="F" if fortran else "C")
+    bank = arrays_of(tmp_path, scores, out=tmp_path / "bank")
+    np.testing.assert_array_equal(bank.scores[0], scores.astype(np.float32))
+    with pytest.raises(ValueError, match="'A' look like distances: the lowest .* on 40 frames, "):
+        arrays_of(tmp_path, -scores, out=tmp_path / "other")
+    assert not (tmp_path / "other").exists()
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32))
+def test_49_chance_is_not_taken_for_distances(seed):
+    rng = np.random.default_rng(seed)
+    truth = GroundTruth.from_places(np.arange(60), 2, 60)
+    blocks = [rng.random((20, 60), np.float32) for _ in range(3)]
+    assert len(list(importers._checked("A", blocks, truth))) == 3
+
+
+def test_49_descriptors_are_refused_with_a_hint(tmp_path):
+    descriptors = np.random.default_rng(0).random((40, 128))
+    for truth in (None, np.eye(40, dtype=bool)):
+        with pytest.raises(ValueError, match="scores have a column per place, unlike descriptors"):
+            arrays_of(tmp_path, descriptors, ground_truth=truth)
+
+
+def test_49_arrays_are_written_in_blocks(tmp_path):
+    scores = np.random.default_rng(0).random((2, 1500, 1500), np.float32)
+    for name, matrix in zip("AB", scores, strict=True):
+        np.save(tmp_path / f"{name}.npy", matrix)
+    files = {name: tmp_path / f"{name}.npy" for name in "AB"}
+    tracemalloc.start()
+    try:
+        bank = from_arrays(files, {"A": 1, "B": 1}, tolerance=0, out=tmp_path / "bank")
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 1.2 * scores[0].nbytes
+    np.testing.assert_array_equal(bank.scores, scores)
+
+
+@pytest.mark.parametrize("on_disk", [False, True])
+def test_49_recent_frames_are_no_candidates(tmp_path, on_disk):
+    scores = np.random.default_rng(0).random((6, 6))
+    truth = np.eye(6, dtype=bool) | np.eye(6, k=-3, dtype=bool)
+    out = tmp_path / "bank" if on_disk else None
+    bank = arrays_of(
+        tmp_path, scores, ground_truth=truth, tolerance=None, exclude_recent=1, out=out
+    )
+    for frame in range(6):
+        for place in range(6):
+            expected = np.float32(scores[frame, place]) if place < frame - 1 else -np.inf
+            assert bank.scores[0, frame, place] == expected
+    np.testing.assert_array_equal(bank.truth.matrix(), np.eye(6, k=-3, dtype=bool))
+    with pytest.raises(ValueError, match="exclude_recent is 3, and no frame has a true place"):
+        arrays_of(tmp_path, scores, ground_truth=truth, tolerance=None, exclude_recent=3)
+    with pytest.raises(ValueError, match="one sequence against itself, but there are 5 queries"):
+        arrays_of(tmp_path, scores[1:], ground_truth=truth[1:], tolerance=None, exclude_recent=1)
 
 
 # ---- the command --------------------------------------------------------------------------

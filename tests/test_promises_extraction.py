@@ -312,7 +312,8 @@ def command(folder: Path, place: Path, executor: str, **environment: str):
     """`bank.py images` with a technique that sends a signal."""
     return subprocess.run(
         [
-            *(sys.executable, "-W", "error", str(ROOT / "scripts" / "bank.py"), "images"),
+            *(sys.executable, "-W", "error", "-W", "ignore:images of"),
+            *(str(ROOT / "scripts" / "bank.py"), "images"),
             *("--reference", str(folder), "--query", str(folder), "--tolerance", "0"),
             *("--techniques", "extraction_cases:FromEnvironment", "--seconds", "Tiny=0.5"),
             *("--cache", str(place / "cache"), "--out", str(place / "bank"), "--name", "bank"),

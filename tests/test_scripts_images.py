@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from extraction_cases import make_images
 
-from amusic_gym.bank import ScoreBank
+from amusic_gym.bank import GroundTruth, ScoreBank
 from amusic_gym.extraction import BLOCK
 from amusic_gym.routes.images import read_image
 
@@ -108,15 +108,20 @@ def test_ground_truth_by_name_position_and_file(run, arguments, folders, tmp_pat
     assert run(*arguments, *given)[0] == 0
     assert truth_of(tmp_path).places.tolist() == places.tolist()
 
-    named = tmp_path / "named"
-    named.mkdir()
-    for at, image in enumerate(sorted(folders[0].iterdir())[:4]):
-        (named / f"@{500000 + 10 * at}@4000000@@@@@{at}@@@@@@@@.png").write_bytes(
-            image.read_bytes()
-        )
-    ours = ["--reference", named, "--query", named, "--truth-by", "position", "--metres", 10]
+    for folder in folders:
+        named = tmp_path / folder.name
+        named.mkdir()
+        for at, image in enumerate(sorted(folder.iterdir())[:4]):
+            (named / f"@{500000 + 10 * at}@4000000@@@@@{at}@@@@@@@@.png").write_bytes(
+                image.read_bytes()
+            )
+    ours = ["--reference", tmp_path / "map", "--query", tmp_path / "run"]
+    ours += ["--truth-by", "position", "--metres", 10]
     assert run(*arguments, *ours)[0] == 0
     assert np.diff(truth_of(tmp_path).indptr).tolist() == [2, 3, 3, 2]
+    status, _, err = run(*arguments, *ours, "--tolerance", 3)
+    assert status == 2
+    assert "tolerance is 3, but the ground truth lists neighbouring places itself" in err
 
 
 def test_an_order_can_be_given_for_both_folders_or_for_each(run, arguments, folders, tmp_path):
@@ -153,9 +158,42 @@ def test_copies_of_a_true_place_may_count(run, arguments, folders, tmp_path):
         (stopped / f"{at}.png").write_bytes(image.read_bytes())
     (stopped / "2.png").write_bytes((stopped / "1.png").read_bytes())
     ours = ["--reference", stopped, "--query", stopped, "--tolerance", 0]
-    with pytest.warns(UserWarning, match="repeated in frames 1 to 2"):
+    with (
+        pytest.warns(UserWarning, match="repeated in frames 1 to 2"),
+        pytest.warns(UserWarning, match="on the map too, byte for byte: 4 of 4; "),
+    ):
         assert run(*arguments, *ours, "--copies")[0] == 0
     assert truth_of(tmp_path).places.tolist() == [0, 1, 2, 1, 2, 3]
+
+
+def test_43_folders_of_different_length_need_to_be_told_what_is_true(run, arguments, folders):
+    for reference, query in (folders, folders[::-1]):
+        short = query.parent / f"{query.name}-short"
+        short.mkdir()
+        for image in sorted(query.iterdir())[:-1]:
+            (short / image.name).write_bytes(image.read_bytes())
+        for pair in ((reference, short), (short, reference)):
+            ours = [*arguments, "--reference", pair[0], "--query", pair[1], "--tolerance", 1]
+            status, _, err = run(*ours)
+            assert status == 2
+            assert f"has {COUNT - 1} images" in err or f"has {COUNT} images" in err
+            for way in ("--truth-by name", "--truth-by position", "--ground-truth FILE"):
+                assert way in err
+        ours = [*arguments, "--reference", reference, "--query", short, "--tolerance", 1]
+        assert run(*ours, "--truth-by", "index")[0] == 0  # who insists
+
+
+def test_42_pairs_of_file_names_and_a_tolerance(run, arguments, folders, tmp_path):
+    names = [sorted(path.name for path in folder.iterdir()) for folder in folders]
+    pairs = [f"{query},{place}\n" for query, place in zip(names[1], names[0][::-1], strict=True)]
+    (tmp_path / "pairs.csv").write_text("query,reference\n" + "".join(pairs))
+    given = [*arguments, "--ground-truth", tmp_path / "pairs.csv"]
+    for tolerance in (0, 2):
+        assert run(*given, "--tolerance", tolerance)[0] == 0
+        loaded = ScoreBank.load(tmp_path / "bank")
+        expected = GroundTruth.from_places(np.arange(COUNT)[::-1], tolerance, COUNT)
+        np.testing.assert_array_equal(loaded.truth.places, expected.places)
+        assert loaded.tolerance == tolerance
 
 
 def test_a_data_set_by_name(run, arguments, folders, tmp_path):
@@ -228,7 +266,7 @@ def test_a_module_of_the_current_directory_is_found_by_workers_too(folders, tmp_
         "        raise NotImplementedError\n"
     )
     (tmp_path / "helper_of_mine.py").write_text("name = 'Mine'\n")
-    given = ["images", "--reference", folders[0], "--query", folders[0], "--tolerance", 1]
+    given = ["images", "--reference", folders[0], "--query", folders[1], "--tolerance", 1]
     given += ["--cache", tmp_path / "cache", "--executor", "process:2", "--out", tmp_path / "bank"]
     done = bank(*given, "--techniques", "module_of_mine:Mine", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")

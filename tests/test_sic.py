@@ -132,7 +132,7 @@ def test_class_with_predictions_of_all_techniques_is_the_loops(
         assert seen == match
         assert match.place == expected.place
         np.testing.assert_allclose(match, expected[:3], **CLOSE)
-        discount = oracle.serial_discount(z, ran, q) if chosen.discount else 1.0
+        discount = oracle.serial_discount(z, ran, q, rows) if chosen.discount else 1.0
         np.testing.assert_allclose(sic.discount, discount, **CLOSE)
 
 

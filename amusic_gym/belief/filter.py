@@ -9,7 +9,14 @@ from amusic_gym._compile import apart, compiled, inner, spliced, without_gil
 from amusic_gym._tables import part
 from amusic_gym.belief.memory import REACH, Minds, copy_mind, hearing_at
 from amusic_gym.belief.motion import move
-from amusic_gym.belief.places import conclude, looks_of, places_of, testify, weigh_places
+from amusic_gym.belief.places import (
+    conclude,
+    looks_of,
+    places_of,
+    rescale,
+    testify,
+    weigh_places,
+)
 from amusic_gym.belief.rates import LOCKED, WAYS
 from amusic_gym.belief.rows import RECENT, listen, total
 from amusic_gym.belief.trust import learn, likelihood, voice
@@ -17,6 +24,9 @@ from amusic_gym.rows import prepare, top_at
 
 SAME = 1e-4
 """Two rows whose correlation falls short of 1 by less than this are the same."""
+
+MANY = 32
+"""Techniques whose likelihoods, from DOUBT to R, can be multiplied within the range of a float."""
 
 
 @apart
@@ -68,6 +78,8 @@ def weigh_rows(
             row, words = minds.rows[s], minds.voices[s]
             for place in range(size):
                 prior[place] *= likelihood(words, row[place])
+        if s % MANY == MANY - 1:
+            rescale(prior, size)
     weigh_places(now, prior, size)
 
 

@@ -80,6 +80,16 @@ def weigh_places(belief: Any, factor: Any, size: int) -> None:
 
 
 @apart
+def rescale(factor: Any, size: int) -> None:
+    """Divide by the highest, so that a product of more factors neither vanishes nor overflows."""
+    most = 0.0
+    for place in range(size):
+        most = max(most, factor[place])
+    for place in range(size):
+        factor[place] /= most
+
+
+@apart
 def window_sums(values: Any, size: int, tolerance: int, out: Any) -> float:
     """Sums of ``values`` within the tolerance of each place; returns the sum of all values."""
     within, whole = 0.0, 0.0

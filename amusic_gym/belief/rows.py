@@ -9,10 +9,13 @@ import numpy as np
 
 from amusic_gym._compile import apart, inner
 from amusic_gym.belief.rates import Rates
-from amusic_gym.rows import mean_at, row_at, scale_at
+from amusic_gym.rows import MASKED, masked_correlation, mean_at, ready_at, row_at, scale_at
 
 RECENT = 0.1
 """Weight of the newest value in running means of novelty and contrast."""
+
+NOWHERE = -1000.0
+"""Standardised score of a place that is no candidate."""
 
 
 @inner
@@ -38,6 +41,8 @@ def novelty_of(run: Any, frame: int, last: int) -> float:
     scale = scale_at(run, frame)[0] * scale_at(run, last)[0]
     if scale == 0.0:
         return -1.0
+    if ready_at(run, frame)[0] == MASKED or ready_at(run, last)[0] == MASKED:
+        return min(max(1.0 - masked_correlation(run, last, run, frame, 0), 0.0), 2.0)
     shift = mean_at(run, frame)[0]
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     even = size - size % 4
@@ -54,7 +59,10 @@ def novelty_of(run: Any, frame: int, last: int) -> float:
 
 @apart
 def standardise(rates: Rates, run: Any, frame: int, count: float, hubs: Any, out: Any) -> None:
-    """Write the row's z-scores, without what each place usually gets, to ``out``; learn of them."""
+    """Write the row's z-scores, without what each place usually gets, to ``out``; learn of them.
+
+    A place that is no candidate gets `NOWHERE`, and nothing is learned of it.
+    """
     row, mean, scale = row_at(run, frame), mean_at(run, frame)[0], scale_at(run, frame)[0]
     usual, spread = hubs[0], hubs[1]
     known = count / (count + rates.hub_count)
@@ -62,6 +70,9 @@ def standardise(rates: Rates, run: Any, frame: int, count: float, hubs: Any, out
     step = 1.0 / (min(count, rates.hub_memory) + 1.0) if scale > 0.0 else 0.0
     most = rates.most
     for place in range(row.size):
+        if row[place] == -math.inf:
+            out[place] = NOWHERE if scale > 0.0 else 0.0
+            continue
         z = (row[place] - mean) * scale
         centred = z - usual[place]
         variance = 1.0 + narrow * (spread[place] - 1.0)

@@ -21,6 +21,7 @@ from amusic_gym.extraction.executors import Executor, make_executor
 from amusic_gym.extraction.progress import Progress
 from amusic_gym.extraction.seconds import known_cost
 from amusic_gym.ground_truth import GroundTruth, resolve_ground_truth
+from amusic_gym.loop_closure import rows_without_recent, truth_without_recent
 from amusic_gym.names import suggest
 from amusic_gym.routes.folders import ImageFolder, check_apart
 from amusic_gym.routes.image_truth import by_index
@@ -36,6 +37,7 @@ def extract(
     *,
     tolerance: int | None = None,
     ground_truth: ArrayLike | GroundTruth | None = None,
+    exclude_recent: int | None = None,
     seconds: Mapping[str, float] | None = None,
     measure_again: bool = False,
     cache: str | os.PathLike[str] | Cache | None = None,
@@ -59,6 +61,8 @@ def extract(
         tolerance: places to either side of the true one that count as right; see `ScoreBank`.
         ground_truth: see `ScoreBank`, and `amusic_gym.routes.image_truth` for more ways; None:
             query q is at place q, in joined folders part by part.
+        exclude_recent: for one sequence against itself: how many frames before each are no
+            candidates, besides itself and those after it; None: every place is one.
         seconds: technique name → seconds of one run, for those that are not to be measured here.
         measure_again: measure the seconds even if the cache remembers them of this machine.
         cache: the cache's folder, or an open cache; None: the default one.
@@ -91,9 +95,11 @@ def extract(
     )
     check_apart(map_folder, run_folder)
     if ground_truth is None and tolerance is not None:
-        ground_truth = by_index(map_folder, run_folder, tolerance)
+        ground_truth = by_index(map_folder, run_folder, tolerance, exact=True)
     truth, places = resolve_ground_truth(ground_truth, tolerance, len(run_folder), len(map_folder))
     references, queries = images_of(map_folder), images_of(run_folder)
+    if exclude_recent is not None:
+        truth = truth_without_recent(truth, exclude_recent)
     plans = [Plan.of(technique, references, queries) for technique in made]
     say = Progress(progress)
     with ExitStack() as stack:
@@ -111,7 +117,11 @@ def extract(
             name=name,
             source=source or f"images: {run_folder.path.name} on {map_folder.path.name}",
         )
-        rows = (block for plan in plans for block in score_rows(plan, store))
+        rows: Iterator[NDArray[np.float32]] = (
+            block for plan in plans for block in score_rows(plan, store)
+        )
+        if exclude_recent is not None:
+            rows = rows_without_recent(rows, truth.queries, exclude_recent)
         return result.in_memory(rows) if out is None else result.on_disk(rows, Path(out))
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from amusic_gym.bank import floored
 from amusic_gym.pictures.canvas import GREY, INK, LINE, SMALL, Box, Canvas
 from amusic_gym.pictures.route import palette
 from amusic_gym.pictures.scene import Scene
@@ -58,7 +59,7 @@ def peaks(row: NDArray[Any], width: int) -> tuple[NDArray[np.int64], NDArray[np.
     Returns:
         pixel and z-score, (n,) each.
     """
-    scores = np.asarray(row, np.float64)
+    scores = floored(np.asarray(row, np.float64))
     deviation = scores.std()
     z = (scores - scores.mean()) / (deviation if deviation > 0.0 else 1.0)
     pixels = np.arange(z.size) * (width - 1) // max(1, z.size - 1)

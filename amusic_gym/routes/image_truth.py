@@ -10,19 +10,17 @@ from __future__ import annotations
 
 import math
 import os
-import re
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym import storage
-from amusic_gym.ground_truth import GroundTruth, resolve_ground_truth
-from amusic_gym.importers import read_ground_truth
+from amusic_gym.ground_truth import GroundTruth
 from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.routes.images import image_digest
+from amusic_gym.truth_files import read_truth
 
 METRES = 25.0
 """Distance within which two images show the same place, as it is customary in this field."""
@@ -32,27 +30,33 @@ HALF_TURN = 180
 
 _STRETCH = 2.0  # a traverse is longer than so many metres, and seldom than as many degrees
 
-PAIRS_HEADER = ["query", "place"]
-"""First line of a text file that lists pairs."""
 
-_Integers = NDArray[np.int64]
-
-
-def by_index(reference: ImageFolder, query: ImageFolder, tolerance: int) -> GroundTruth:
+def by_index(
+    reference: ImageFolder, query: ImageFolder, tolerance: int, *, exact: bool = False
+) -> GroundTruth:
     """Frame q is at place q, ± ``tolerance`` places; in joined folders, part by part.
+
+    Args:
+        reference: the map.
+        query: the run.
+        tolerance: places to either side.
+        exact: whether each part of the run must have as many images as that of the map.
 
     Raises:
         ValueError: when the folders are not joined of the same number of parts, or a part of the
-            query holds more images than its part of the reference.
+            query holds more images than its part of the reference, or, with ``exact``, fewer.
     """
     if reference.complete or query.complete:
         return _kept(by_index(_all(reference), _all(query), tolerance), reference, query)
     parts = list(zip(reference.parts, query.parts, strict=False))
-    if len(reference.parts) != len(query.parts) or any(here < there for here, there in parts):
+    if len(reference.parts) != len(query.parts) or any(
+        here < there or (exact and here > there) for here, there in parts
+    ):
         raise ValueError(
             f"{query.path} has {_lengths(query)} images, {reference.path} {_lengths(reference)}: "
-            "frame q cannot be at place q; take as many of each, or give the ground truth by file "
-            "names or in a file"
+            "frame q cannot be at place q; take as many of each, or say what is true by file "
+            "names (--truth-by name), by positions in them (--truth-by position), or in a file "
+            "(--ground-truth FILE)"
         )
     begins = np.cumsum((0, *reference.parts))
     centres = [begin + np.arange(there) for begin, (_, there) in zip(begins, parts, strict=False)]
@@ -124,7 +128,7 @@ def by_position(
         ours, its = _headings(reference), _headings(query)
         turned = [abs((ours - each + HALF_TURN) % (2 * HALF_TURN) - HALF_TURN) for each in its]
         near = [row & (turn <= heading) for row, turn in zip(near, turned, strict=True)]
-    truth = _truth([np.nonzero(row)[0] for row in near], len(reference))
+    truth = GroundTruth.from_lists([np.nonzero(row)[0] for row in near], len(reference))
     if len(reference) > 1 and all(row.all() for row in near):
         raise ValueError(
             f"every image of {reference.path} lies within {metres} m of every one of {query.path}, "
@@ -146,43 +150,25 @@ def from_file(
     query: ImageFolder,
     tolerance: int | None = None,
     trust: bool = False,
+    default: int | None = None,
 ) -> GroundTruth:
-    """Ground truth from a file: NumPy's, VPR-Bench's, or text.
+    """Ground truth from a file for two image folders: see `amusic_gym.truth_files.read_truth`.
 
-    ``.npy``: a boolean matrix [query, reference], or one place per query, -1 for none; or the
-    pickled file of VPR-Bench, with ``trust`` only, because a pickle can run code. Anything else is
-    text, its numbers apart by commas, semicolons or blanks, ``#`` before a comment: one place per
-    line and query; or a matrix of 0 and 1; or, below the line ``query,place``, one true pair per
-    line.
-
-    Args:
-        path: the file.
-        reference: the map, R images.
-        query: the run, Q images.
-        tolerance: places to either side that count where the file gives one place per query.
-        trust: True to unpickle a file of VPR-Bench.
-
-    Raises:
-        FileNotFoundError: when there is no such file.
-        ValueError: for another shape or range, a line that cannot be read, or a missing tolerance.
+    Pairs may be of the images' names, with or without their folders and suffixes.
     """
     if reference.complete or query.complete:
-        whole = from_file(path, _all(reference), _all(query), tolerance, trust)
+        whole = from_file(path, _all(reference), _all(query), tolerance, trust, default)
         return _kept(whole, reference, query)
-    path = Path(path)
-    queries, references = len(query), len(reference)
-    array: GroundTruth | NDArray[Any]
-    try:
-        if path.suffix.lower() == ".npy":
-            array = read_ground_truth(path, trust, queries, references)
-        else:
-            array = _read_text(path, queries, references)
-        if isinstance(array, np.ndarray) and array.shape == (queries,) and tolerance is not None:
-            return _around(array, tolerance, reference)
-        return resolve_ground_truth(array, tolerance, queries, references)[0]
-    except ValueError as error:
-        prefix = "" if str(path) in str(error) else f"{path}: "
-        raise ValueError(f"{prefix}{error}") from None
+    return read_truth(
+        path,
+        len(query),
+        len(reference),
+        tolerance=tolerance,
+        default=default,
+        trust=trust,
+        parts=reference.parts,
+        names=(query.names, reference.names),
+    )
 
 
 def with_copies(truth: GroundTruth, reference: ImageFolder) -> GroundTruth:
@@ -196,7 +182,25 @@ def with_copies(truth: GroundTruth, reference: ImageFolder) -> GroundTruth:
     for first, last in reference.repeats:
         run_of[first : last + 1] = first
     runs = [np.unique(run_of[truth.places[a:b]]) for a, b in _rows(truth)]
-    return _truth([np.nonzero(np.isin(run_of, run))[0] for run in runs], len(reference))
+    places = [np.nonzero(np.isin(run_of, run))[0] for run in runs]
+    return GroundTruth.from_lists(places, len(reference))
+
+
+def warn_of_shared_files(reference: ImageFolder, query: ImageFolder) -> None:
+    """Warn where images of the query are images of the map, byte for byte."""
+    sizes = [{path: path.stat().st_size for path in each.paths} for each in (reference, query)]
+    alike = set(sizes[0].values()) & set(sizes[1].values())
+    places, frames = (
+        [image_digest(path) for path, size in each.items() if size in alike] for each in sizes
+    )
+    shared = sum(digest in set(places) for digest in frames)
+    if shared:
+        warnings.warn(
+            f"images of {query.path} are on the map too, byte for byte: {shared} of {len(query)}; "
+            "to find them there tells nothing of recognising places, give two recordings",
+            UserWarning,
+            stacklevel=2,
+        )
 
 
 def _all(folder: ImageFolder) -> ImageFolder:
@@ -210,29 +214,13 @@ def _kept(truth: GroundTruth, reference: ImageFolder, query: ImageFolder) -> Gro
     index[list(reference.kept) or slice(None)] = np.arange(len(reference))
     places = [index[truth.places[a:b]] for a, b in _rows(truth)]
     frames = query.kept or range(len(query))
-    return _truth([places[at][places[at] >= 0] for at in frames], len(reference))
+    return GroundTruth.from_lists([places[at][places[at] >= 0] for at in frames], len(reference))
 
 
 def _around(centres: NDArray[np.generic], tolerance: int, reference: ImageFolder) -> GroundTruth:
     """± ``tolerance`` places around each centre, but not beyond the part that it lies in."""
-    whole = GroundTruth.from_places(centres, tolerance, len(reference))
-    if len(reference.parts) == 1:
-        return whole
-    part_of = np.repeat(np.arange(len(reference.parts)), reference.parts)
-    places = [whole.places[a:b] for a, b in _rows(whole)]
-    return _truth(
-        [
-            row[part_of[row] == part_of[centre]]
-            for row, centre in zip(places, centres.astype(np.int64), strict=True)
-        ],
-        len(reference),
-    )
-
-
-def _truth(places: list[_Integers], references: int) -> GroundTruth:
-    """From the true places of each query, rising."""
-    indptr = np.cumsum([0, *map(len, places)])
-    return GroundTruth(indptr, np.concatenate(places), references)
+    truth = GroundTruth.from_places(centres, 0, len(reference))
+    return truth.widened(tolerance, reference.parts)
 
 
 def _rows(truth: GroundTruth) -> zip[tuple[int, int]]:
@@ -307,61 +295,3 @@ def _check_zones(*folders: ImageFolder) -> None:
         raise ValueError(
             f"positions are in different UTM zones: {named}; give all in one zone, or drop others"
         )
-
-
-def _read_text(path: Path, queries: int, references: int) -> GroundTruth | NDArray[np.generic]:
-    with storage.open_file(path) as file:
-        try:
-            lines = file.read().decode("utf-8-sig").splitlines()
-        except UnicodeDecodeError as error:
-            raise ValueError(f"{path} is no text ({error.reason}); give .npy or text") from None
-    rows = [(number, _fields(line)) for number, line in enumerate(lines, 1)]
-    rows = [(number, fields) for number, fields in rows if fields]
-    header = bool(rows) and [field.lower() for field in rows[0][1]] == PAIRS_HEADER
-    numbers = [_whole_numbers(fields, number, path) for number, fields in rows[header:]]
-    widths = {len(row) for row in numbers}
-    if not rows:
-        raise ValueError(f"{path} holds no ground truth; give one place per line and query")
-    if header and widths <= {2}:
-        return _from_pairs(numbers, queries, references, path)
-    if header or len(widths) != 1:
-        raise ValueError(
-            f"{path} has lines of {sorted(widths)} numbers; give one place per line, or a matrix "
-            f"of {queries} lines with {references} numbers each, or pairs below the line "
-            f"{','.join(PAIRS_HEADER)}"
-        )
-    array = np.array(numbers)
-    if widths == {1}:
-        return array[:, 0]
-    if not np.isin(array, (0, 1)).all():
-        raise ValueError(
-            f"{path} has lines of several numbers that are not 0 or 1; pairs need the line "
-            f"{','.join(PAIRS_HEADER)} above them"
-        )
-    return array.astype(np.bool_)
-
-
-def _fields(line: str) -> list[str]:
-    return re.findall(r"[^\s,;]+", line.partition("#")[0])
-
-
-def _whole_numbers(fields: list[str], line: int, path: Path) -> list[int]:
-    try:
-        return [int(field) for field in fields]
-    except ValueError:
-        raise ValueError(
-            f"{path}, line {line}: {' '.join(fields)[:40]!r} are not whole numbers; give places "
-            "counted from 0"
-        ) from None
-
-
-def _from_pairs(pairs: list[list[int]], queries: int, references: int, path: Path) -> GroundTruth:
-    places: list[set[int]] = [set() for _ in range(queries)]
-    for query, place in pairs:
-        if not (0 <= query < queries and 0 <= place < references):
-            raise ValueError(
-                f"{path}: query {query}, place {place} is out of range; valid: queries 0 to "
-                f"{queries - 1}, places 0 to {references - 1}"
-            )
-        places[query].add(place)
-    return _truth([np.array(sorted(row), np.int64) for row in places], references)

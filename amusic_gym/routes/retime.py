@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym import bank_files
-from amusic_gym.bank import ScoreBank
+from amusic_gym.bank import ScoreBank, floored
 from amusic_gym.checks import whole
 from amusic_gym.ground_truth import GroundTruth
 from amusic_gym.names import suggest
@@ -167,7 +167,7 @@ def _blocks(bank: ScoreBank, frames: NDArray[np.int64], seed: int) -> Iterator[N
         for first in range(0, len(frames), _BLOCK):
             rows = scores[frames[first : first + _BLOCK]]
             noise = chance.standard_normal(rows.shape, np.float32)
-            noise *= NOISE * rows.std(axis=1, dtype=np.float64, keepdims=True)
+            noise *= NOISE * floored(rows).std(axis=1, dtype=np.float64, keepdims=True)
             rows += noise
             yield rows
 
