@@ -15,6 +15,9 @@ from amusic_gym.pictures.sightings import Pictures
 from amusic_gym.routes.video import VideoWriter
 from amusic_gym.window import Window
 
+DOUBT, SETTLED = 0.5, 20
+"""p̂ of a doubtful frame, and frames after which many of them are worth a word."""
+
 HEADER = f"{'frame':>6} {'place':>6} {'confidence':>10} {'p':>5} {'ms':>8}  techniques"
 
 
@@ -80,6 +83,7 @@ class Journal:
         self.quiet = quiet
         self.frames = 0
         self.right = 0
+        self.doubtful = 0
         self.milliseconds = 0.0
         self.reading = 0.0
         self.runs = np.zeros(len(route.techniques), np.int64)
@@ -94,6 +98,7 @@ class Journal:
         self.reading += sighting.read_milliseconds
         self.runs += sighting.ran + sighting.late_runs
         self.run_milliseconds += sighting.run_milliseconds
+        self.doubtful += sighting.p_correct is not None and sighting.p_correct < DOUBT
         right = None
         if self.route.truth is not None:
             right = bool(self.route.truth.correct([sighting.prediction], [sighting.frame])[0])
@@ -118,6 +123,13 @@ class Journal:
         ]
         if self.route.truth is not None:
             lines.append(f"right places: {self.right / self.frames:.1%}")
+        if self.frames >= SETTLED and 2 * self.doubtful > self.frames:
+            lines.append(
+                f"p is below {DOUBT} on {self.doubtful / self.frames:.0%} of the frames: the robot"
+                " may be off the map, or not move as the statistic takes it to (evidence and mean:"
+                " one place per frame; belief: up to two, forwards); thin the video or the map, or"
+                " compare --statistic belief and raw:NAME"
+            )
         lines.append(f"{'technique':<16} {'runs/frame':>10} {'ms/run':>8}")
         for t, name in enumerate(self.route.techniques):
             share = self.runs[t] / self.frames

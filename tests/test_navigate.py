@@ -470,3 +470,19 @@ def test_names_reach_no_terminal_raw(navigate, tmp_path):
     assert code == 2
     assert r"\x1b[2J does not exist" in err
     assert "\x1b" not in err
+
+
+def test_50_a_drive_whose_places_are_doubtful_says_so_in_its_summary(
+    navigate, world, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(sys.modules["_drive"], "SETTLED", 5)
+    strange = tmp_path / "strange"
+    strange.mkdir()
+    rng = np.random.default_rng(0)
+    for frame in range(24):
+        image = rng.integers(0, 255, (48, 64, 3), np.uint8)
+        assert cv2.imwrite(str(strange / f"{frame:03}.png"), image)
+    for query, told in ((str(strange), True), (f"{world}/run", False)):
+        code, out, _ = navigate(query=query)
+        assert code == 0
+        assert ("p is below 0.5 on" in out) == told
