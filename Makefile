@@ -73,7 +73,7 @@ bench: setup
 	@mkdir -p out
 	$(PY) scripts/bench.py --out out/bench.json $(ARGS)
 
-# The selector that ships, again from its seed: agents/pretrained/CARD.md.
+# The selector that ships, again from its seed: agents/amusic_agents/pretrained/CARD.md.
 train-default: export OMP_NUM_THREADS ?= 1
 train-default: setup
 	$(PY) scripts/train_default.py --out out/default $(ARGS)

@@ -10,6 +10,7 @@ import _bench_reference as reference
 import numpy as np
 from _bench_material import same
 from _timing import Medians, Side, alone, interleave
+from amusic_baselines import make_policy
 from numpy.typing import NDArray
 
 from amusic_gym.extraction import BLOCK
@@ -20,7 +21,6 @@ from amusic_gym.policy import Context
 from amusic_gym.routes.rendered import traverse
 from amusic_gym.settings import SICSettings
 from amusic_gym.techniques import TECHNIQUES, Technique, make_technique
-from baselines import make_policy
 
 TOLERANCE = 2
 

@@ -48,7 +48,8 @@ def _end(kind: type[BaseException], error: BaseException, trace: TracebackType |
 sys.excepthook = _end  # scripts import this module before what takes long
 
 # `python scripts/NAME.py` works from any checkout, installed or not.
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+ROOT = Path(__file__).resolve().parent.parent
+sys.path[:0] = [str(ROOT / folder) for folder in (".", "agents", "baselines")]
 
 from amusic_gym.escaping import for_terminal  # noqa: E402  (found by the line above)
 from amusic_gym.names import nearest  # noqa: E402

@@ -7,15 +7,16 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-import baselines
-from agents.shipped import PRETRAINED, SHIPPED, shipped
+import amusic_baselines
+from amusic_agents.shipped import PRETRAINED, SHIPPED, shipped
+from amusic_baselines import NEEDS_GROUND_TRUTH, READS_COMPUTE_WEIGHT, make_policy
+from amusic_baselines.arguments import IDLE
+
 from amusic_gym.comparison import COMPUTE_WEIGHTS, Contestant
 from amusic_gym.comparison_files import code_digest, file_digest
 from amusic_gym.policy import Context, Correction, Policy
-from baselines import NEEDS_GROUND_TRUTH, READS_COMPUTE_WEIGHT, make_policy
-from baselines.arguments import IDLE
 
-BASELINES = Path(baselines.__file__).parent
+BASELINES = Path(amusic_baselines.__file__).parent
 
 OF_TRAINING = "of the routes that it was trained on"
 """What a selector needs ground truth of whose reward was the true correctness."""
@@ -74,9 +75,9 @@ def _contestant(spec: str, wanted: _Wanted, weights: tuple[float, ...]) -> Conte
 
 
 def _learned(spec: str, folder: Path, wanted: _Wanted, weights: tuple[float, ...]) -> Contestant:
-    import agents  # these need PyTorch
-    from agents.run_folder import SELECTOR
-    from agents.selector import learned_from_truth, load_selector
+    import amusic_agents  # these need PyTorch
+    from amusic_agents.run_folder import SELECTOR
+    from amusic_agents.selector import learned_from_truth, load_selector
 
     load_selector(folder)  # refuses what is no run folder
 
@@ -85,7 +86,7 @@ def _learned(spec: str, folder: Path, wanted: _Wanted, weights: tuple[float, ...
         _refuse_another(folder, Correction.under(selector, context.statistic), wanted)
         return selector
 
-    version = f"{file_digest(folder / SELECTOR)} {code_digest(Path(agents.__file__).parent)}"
+    version = f"{file_digest(folder / SELECTOR)} {code_digest(Path(amusic_agents.__file__).parent)}"
     needs_truth = OF_TRAINING if learned_from_truth(folder) else ""
     return Contestant(spec, make, weights, version, needs_truth)
 

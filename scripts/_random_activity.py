@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from amusic_baselines import make_policy
 from numpy.typing import NDArray
 
 from amusic_gym import metrics
@@ -16,7 +17,6 @@ from amusic_gym.routes.retime import retime
 from amusic_gym.study.tables import Table
 from amusic_gym.trace import Trace
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
-from baselines import make_policy
 
 RATES = (0.1, 0.3, 0.6, 1.0)
 """With one of these chances, drawn for the whole drive, each technique runs on each frame."""

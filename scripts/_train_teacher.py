@@ -10,16 +10,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from amusic_agents.config import TrainingConfig
+from amusic_agents.teachers import ByWeight, partition
+from amusic_agents.training import simulated_routes
+from amusic_baselines.cascade import Cascade
 from tqdm import tqdm
 
-from agents.config import TrainingConfig
-from agents.teachers import ByWeight, partition
-from agents.training import simulated_routes
 from amusic_gym.bank import ScoreBank
 from amusic_gym.metrics import compute
 from amusic_gym.rollout import Job, rollouts
 from amusic_gym.storage import read_json, write_whole
-from baselines.cascade import Cascade
 
 FILE = "teacher.json"
 PARTS = 12
@@ -34,7 +34,7 @@ EVERYTHING = 99
 
 @dataclass(frozen=True)
 class Parameters:
-    """Arguments of a :class:`baselines.cascade.Cascade`."""
+    """Arguments of a :class:`amusic_baselines.cascade.Cascade`."""
 
     cheap: int
     hold: int

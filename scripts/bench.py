@@ -370,9 +370,8 @@ def measure_ppo(material: Material) -> Measured:
     """PPO's wall time on the env against the same PPO on an env that returns constants."""
     import torch
     from _bench_constant import ConstantVecEnv
+    from amusic_agents.adapter import SB3VecEnv
     from stable_baselines3 import PPO
-
-    from agents.adapter import SB3VecEnv
 
     torch.set_num_threads(1)
     sizes = material.sizes

@@ -13,6 +13,7 @@ from typing import Any
 from _cli import Parser, destination, run
 from _random_activity import held_against_truth, random_drives, tables
 from _reliability_figure import draw_reliability
+from amusic_baselines import make_policy
 
 from amusic_gym import plots
 from amusic_gym.bank import ScoreBank
@@ -23,7 +24,6 @@ from amusic_gym.rollout import rollout
 from amusic_gym.settings import STATISTICS, SICSettings
 from amusic_gym.storage import write_whole
 from amusic_gym.trace import Trace
-from baselines import make_policy
 
 
 def roll(bank: ScoreBank, statistic: str) -> list[Trace]:

@@ -17,11 +17,11 @@ from pathlib import Path
 from _cli import Parser, destination, run
 from _contestants import contestants
 from _rivals import study_rivals
+from amusic_agents.config import RolloutConfig, TrainingConfig, stored_config
+from amusic_agents.policy_iteration import iterate_policy
+from amusic_agents.run_folder import CHECKPOINT
+from amusic_agents.selector import load_selector
 
-from agents.config import RolloutConfig, TrainingConfig, stored_config
-from agents.policy_iteration import iterate_policy
-from agents.run_folder import CHECKPOINT
-from agents.selector import load_selector
 from amusic_gym.bank import COST_MODELS, ScoreBank
 from amusic_gym.comparison import all_subsets, compare, draw, table
 from amusic_gym.importers import from_recording

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from _cli import Parser, add_correction, destination, pairs, run
 
 if TYPE_CHECKING:
-    from agents.config import TrainingConfig
+    from amusic_agents.config import TrainingConfig
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -48,12 +48,14 @@ def option(name: str) -> str:
 
 def learn(given: argparse.Namespace, config: TrainingConfig) -> None:
     """Train with the configuration's algorithm, after choosing a teacher where it needs one."""
-    from agents.training import train  # here, so that Ctrl-C in its long import ends well too
+    from amusic_agents.training import (
+        train,
+    )  # here, so that Ctrl-C in its long import ends well too
 
     if "imitation" in config.algorithm:
         _imitate(given, config)
     elif config.algorithm == "rollouts":
-        from agents.policy_iteration import iterate_policy
+        from amusic_agents.policy_iteration import iterate_policy
 
         iterate_policy(given.out, config, banks=given.bank, resume=given.resume)
     else:
@@ -63,9 +65,8 @@ def learn(given: argparse.Namespace, config: TrainingConfig) -> None:
 
 def _imitate(given: argparse.Namespace, config: TrainingConfig) -> None:
     from _train_teacher import make_teacher
-
-    from agents.imitation import IMITATION, imitate, imitate_then_train
-    from agents.training import refuse_used
+    from amusic_agents.imitation import IMITATION, imitate, imitate_then_train
+    from amusic_agents.training import refuse_used
 
     alone = config.algorithm == "imitation"
     folder = given.out if alone else given.out / IMITATION
@@ -78,8 +79,8 @@ def _imitate(given: argparse.Namespace, config: TrainingConfig) -> None:
 
 
 def _parser() -> Parser:
-    from agents.config import TrainingConfig
-    from agents.learners import ALGORITHMS
+    from amusic_agents.config import TrainingConfig
+    from amusic_agents.learners import ALGORITHMS
 
     defaults = TrainingConfig()
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -128,7 +129,7 @@ def _parser() -> Parser:
 
 def _config(given: argparse.Namespace) -> TrainingConfig:
     """The defaults, or the configuration of the run to resume, with what was given."""
-    from agents.config import WARM_START, training_config
+    from amusic_agents.config import WARM_START, training_config
 
     given_names = (
         "algorithm timesteps seed n_envs threads statistic carry discount allow_idle reward"
@@ -179,9 +180,9 @@ def _value(text: str) -> float | str | tuple[float, ...]:
 
 def _stored(out: Path) -> TrainingConfig:
     """The configuration of a run, or of the imitation that it was stopped in."""
-    from agents.config import stored_config
-    from agents.imitation import IMITATION
-    from agents.run_folder import CONFIG
+    from amusic_agents.config import stored_config
+    from amusic_agents.imitation import IMITATION
+    from amusic_agents.run_folder import CONFIG
 
     begun = (out / CONFIG).exists() or not (out / IMITATION / CONFIG).exists()
     return stored_config(out if begun else out / IMITATION)

@@ -3,8 +3,8 @@
 For ``evidence`` by policy iteration with rollouts. For ``belief`` a cascade is chosen for every
 part of the range of λ, imitated, and the imitation goes on learning with PPO. All of it on
 simulated routes, by their ground truth. The run folder is ``--out``; ``--ship`` puts its selector
-into the statistic's folder in ``agents/pretrained``, unless the one that is there does better. A
-run that was stopped goes on where it was.
+into the statistic's folder in ``agents/amusic_agents/pretrained``, unless the one that is there does
+better. A run that was stopped goes on where it was.
 """
 
 from __future__ import annotations
@@ -13,16 +13,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from _cli import Parser, destination, run
+from amusic_agents.shipped import SHIPPED, shipped
 
-from agents.shipped import SHIPPED, shipped
 from amusic_gym.settings import SICSettings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from _train_teacher import Parameters
-
-    from agents.config import TrainingConfig
+    from amusic_agents.config import TrainingConfig
 
 ALGORITHM = {"evidence": "rollouts", "belief": "imitation+ppo"}
 """Statistic → how what ships for it was trained."""
@@ -49,10 +48,9 @@ def learn(
         grid: cascades to choose from; None: those for what ships.
     """
     from _train_teacher import GRID, ROUTES, make_teacher
-
-    from agents.imitation import IMITATION, imitate_then_train
-    from agents.policy_iteration import iterate_policy
-    from agents.run_folder import CONFIG
+    from amusic_agents.imitation import IMITATION, imitate_then_train
+    from amusic_agents.policy_iteration import iterate_policy
+    from amusic_agents.run_folder import CONFIG
 
     if config.algorithm == "rollouts":
         iterate_policy(out, config, resume=(out / CONFIG).exists())
@@ -68,7 +66,7 @@ def learn(
 
 def _finished(out: Path, timesteps: int) -> bool:
     """Whether the folder holds a training that has had its frames."""
-    from agents.run_folder import EVALUATIONS
+    from amusic_agents.run_folder import EVALUATIONS
 
     file = out / EVALUATIONS
     rows = file.read_text("utf-8", "replace").split() if file.is_file() else []
@@ -80,7 +78,7 @@ def _finished(out: Path, timesteps: int) -> bool:
 
 def is_same(out: Path, folder: Path) -> bool:
     """Whether a run's selector is the one in a folder, bit for bit."""
-    from agents.run_folder import SELECTOR
+    from amusic_agents.run_folder import SELECTOR
 
     there = folder / SELECTOR
     return there.is_file() and there.read_bytes() == (out / SELECTOR).read_bytes()
@@ -92,7 +90,8 @@ def ship(out: Path, folder: Path) -> None:
     Raises:
         ValueError: if the selector in ``folder`` does better on the held-out routes.
     """
-    from agents.run_folder import SELECTOR, read_config, write_config
+    from amusic_agents.run_folder import SELECTOR, read_config, write_config
+
     from amusic_gym.storage import write_whole
 
     if not is_same(out, folder):
@@ -104,8 +103,8 @@ def ship(out: Path, folder: Path) -> None:
 
 
 def _refuse_worse(out: Path, folder: Path) -> None:
-    from agents.config import stored_config
-    from agents.run_folder import SELECTOR
+    from amusic_agents.config import stored_config
+    from amusic_agents.run_folder import SELECTOR
 
     routes = stored_config(out).held_out
     ours = score(out, routes)
@@ -128,8 +127,8 @@ def score(run: Path, routes: int) -> float:
         FileNotFoundError: if there is no selector.
         ValueError: if it was trained with another version, or is damaged.
     """
-    from agents.evaluation import HeldOut
-    from agents.selector import load_selector
+    from amusic_agents.evaluation import HeldOut
+    from amusic_agents.selector import load_selector
 
     selector = load_selector(run)
     assert selector.needs.statistic is not None
@@ -151,10 +150,10 @@ def main(arguments: list[str] | None = None) -> None:
         help="that it ships for (default: %(default)s)",
     )
     add("--allow-idle", action="store_true", help="the one that may run nothing on a frame")
-    add("--ship", action="store_true", help="put the selector into agents/pretrained")
+    add("--ship", action="store_true", help="put the selector into agents/amusic_agents/pretrained")
     given = parser.parse_args(arguments)
 
-    from agents.config import training_config
+    from amusic_agents.config import training_config
 
     folder = shipped(given.statistic, allow_idle=given.allow_idle)
     config = training_config(

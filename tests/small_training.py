@@ -83,7 +83,7 @@ def arm(module: str, name: str, call: int, number: int) -> None:
 
 def _main(code: str, *arguments: str) -> None:
     sys.path[:0] = [str(SCRIPTS.parent), str(SCRIPTS)]
-    import agents.config as config
+    import amusic_agents.config as config
 
     config.TrainingConfig = partial(config.TrainingConfig, **SMALL)  # type: ignore[assignment,misc]
     exec(code, {})

@@ -5,13 +5,13 @@ from __future__ import annotations
 import gymnasium as gym
 import numpy as np
 import pytest
+from amusic_agents.adapter import SB3VecEnv
 from env_cases import random_actions, random_bank
 from gymnasium.wrappers import vector
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 
-from agents.adapter import SB3VecEnv
 from amusic_gym.bank import ScoreBank
 from amusic_gym.observation import ROUTE_FEATURES
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv

@@ -6,6 +6,7 @@ import golden
 import numpy as np
 import oracle
 import pytest
+from amusic_baselines.amusic import AMuSIC, differ
 from env_cases import noisy_bank, random_bank
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,7 +17,6 @@ from amusic_gym.env import TechniqueSelectionEnv
 from amusic_gym.rollout import Job, rollout, rollouts
 from amusic_gym.settings import STATISTICS, SICSettings
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
-from baselines.amusic import AMuSIC, differ
 
 techniques = st.integers(1, 16)
 blocks = st.integers(1, 7)

@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 import oracle as loops
 import pytest
+from amusic_baselines import POLICIES, make_policy
+from amusic_baselines.cascade import Cascade
+from amusic_baselines.uniform import Uniform
 from env_cases import random_bank
 from test_rollout import assert_same
 
@@ -19,9 +22,6 @@ from amusic_gym.rollout import Job, rollout, rollouts
 from amusic_gym.settings import STATISTICS, SICSettings
 from amusic_gym.trace import Trace
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
-from baselines import POLICIES, make_policy
-from baselines.cascade import Cascade
-from baselines.uniform import Uniform
 
 ARGUMENTS = {
     "raw": ["T1"],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from amusic_baselines import make_policy
 from env_cases import random_bank
 
 from amusic_gym.bounds import gap_closed, is_fixed, single_best, virtual_best
@@ -10,7 +11,6 @@ from amusic_gym.comparison import all_subsets
 from amusic_gym.metrics import mean_rows, summarise
 from amusic_gym.policy import Context
 from amusic_gym.rollout import rollout
-from baselines import make_policy
 
 
 def row(bank, policy, auc, compute, **other):

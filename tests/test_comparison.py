@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from amusic_baselines import make_policy
 from env_cases import random_bank
 from test_rollout import Cycle, assert_same
 
@@ -32,7 +33,6 @@ from amusic_gym.policy import Context
 from amusic_gym.rollout import rollout
 from amusic_gym.settings import SICSettings
 from amusic_gym.trace import Trace
-from baselines import make_policy
 
 ROW_KEYS = [
     "bank",

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from amusic_baselines import make_policy
 from env_cases import random_bank
 
 from amusic_gym.audit import Ranking, audit, held, ranking
@@ -22,7 +23,6 @@ from amusic_gym.rollout import rollout
 from amusic_gym.routes.retime import retime
 from amusic_gym.settings import STATISTICS
 from amusic_gym.trace import Trace
-from baselines import make_policy
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 

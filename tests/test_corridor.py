@@ -7,6 +7,7 @@ from typing import Any
 import corridor
 import numpy as np
 import pytest
+from amusic_baselines import make_policy
 
 from amusic_gym import correctness
 from amusic_gym.bank import ScoreBank
@@ -14,7 +15,6 @@ from amusic_gym.metrics import summarise
 from amusic_gym.policy import Context
 from amusic_gym.rollout import rollout
 from amusic_gym.trace import Trace
-from baselines import make_policy
 
 
 def load(names: tuple[str, ...] = corridor.TECHNIQUES) -> ScoreBank:

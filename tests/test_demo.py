@@ -9,8 +9,8 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from amusic_agents.config import RolloutConfig, TrainingConfig
 
-from agents.config import RolloutConfig, TrainingConfig
 from amusic_gym.routes.simulate import simulate
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import corridor
 import pytest
 import sklearn.metrics
+from amusic_baselines import make_policy
 
 from amusic_gym import metrics
 from amusic_gym.bank import ScoreBank
@@ -19,7 +20,6 @@ from amusic_gym.policy import Context
 from amusic_gym.rollout import rollout
 from amusic_gym.techniques import make_technique
 from amusic_gym.trace import Trace
-from baselines import make_policy
 
 FIGURES = {  # policy -> the area to three digits; the paper has it to two
     "raw:HOG": 0.028,

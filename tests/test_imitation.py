@@ -10,36 +10,36 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from env_cases import random_bank
-from safetensors.torch import load_file
-from small_training import SCRIPTS, SMALL, contents, stop_at
-
-from agents import dagger as dagger_module
-from agents.config import (
+from amusic_agents import dagger as dagger_module
+from amusic_agents.config import (
     ImitationConfig,
     TrainingConfig,
     stored_banks,
     stored_config,
     training_config,
 )
-from agents.dagger import DAgger, cross_entropy
-from agents.evaluation import Evaluation, HeldOut
-from agents.imitation import IMITATION, imitate, imitate_then_train
-from agents.network import PRESENT, ROUTE_WIDTH, WIDTH, NetworkConfig, SelectorNetwork
-from agents.run_folder import CHECKPOINT, CONFIG, EVALUATIONS, SELECTOR, read_tensors
-from agents.selector import TrainedSelector, load_selector
-from agents.teachers import ByWeight, agreement, by_weight, partition
-from agents.training import make_model, train, training_source
-from agents.warm_start import actor_parameters
+from amusic_agents.dagger import DAgger, cross_entropy
+from amusic_agents.evaluation import Evaluation, HeldOut
+from amusic_agents.imitation import IMITATION, imitate, imitate_then_train
+from amusic_agents.network import PRESENT, ROUTE_WIDTH, WIDTH, NetworkConfig, SelectorNetwork
+from amusic_agents.run_folder import CHECKPOINT, CONFIG, EVALUATIONS, SELECTOR, read_tensors
+from amusic_agents.selector import TrainedSelector, load_selector
+from amusic_agents.teachers import ByWeight, agreement, by_weight, partition
+from amusic_agents.training import make_model, train, training_source
+from amusic_agents.warm_start import actor_parameters
+from amusic_baselines.amusic import AMuSIC
+from amusic_baselines.cascade import Cascade
+from amusic_baselines.subset import Subset
+from env_cases import random_bank
+from safetensors.torch import load_file
+from small_training import SCRIPTS, SMALL, contents, stop_at
+
 from amusic_gym.bank import ScoreBank
 from amusic_gym.metrics import compute
 from amusic_gym.policy import Needs
 from amusic_gym.rollout import Job, rollout
 from amusic_gym.settings import SICSettings
 from amusic_gym.sources import Banks, SimulatedRoutes
-from baselines.amusic import AMuSIC
-from baselines.cascade import Cascade
-from baselines.subset import Subset
 
 STATISTIC = SICSettings.statistic
 WEIGHTS = (0.1, 1.0)
@@ -56,8 +56,8 @@ class Quick(HeldOut):
 @pytest.fixture(autouse=True, scope="module")
 def quick():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("agents.training.HeldOut", Quick)
-        patch.setattr("agents.dagger.HeldOut", Quick)
+        patch.setattr("amusic_agents.training.HeldOut", Quick)
+        patch.setattr("amusic_agents.dagger.HeldOut", Quick)
         yield
 
 
@@ -150,7 +150,7 @@ class Rising(Quick):
 
 
 def test_a_teacher_is_imitated_on_routes_it_never_saw(tmp_path, monkeypatch):
-    monkeypatch.setattr("agents.dagger.HeldOut", Rising)
+    monkeypatch.setattr("amusic_agents.dagger.HeldOut", Rising)
     config = small(
         n_envs=16,
         compute_weights=WEIGHTS,
@@ -383,7 +383,7 @@ class Falling(Quick):
 def test_a_warm_start_begins_with_the_same_actions_and_keeps_them_if_they_are_best(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("agents.training.HeldOut", Falling)
+    monkeypatch.setattr("amusic_agents.training.HeldOut", Falling)
     start = trained_network()
     route = random_bank(8, queries=60)
     before = rollout(TrainedSelector(start, STATISTIC), route, name="start", compute_weight=0.4)
@@ -577,7 +577,9 @@ def command(monkeypatch, capsys, choosing):
 
     settings = ImitationConfig(rounds=2, frames=40, epochs=1)
     defaults = {**SMALL, "imitation": settings}
-    monkeypatch.setattr("agents.config.TrainingConfig", lambda **v: TrainingConfig(**defaults | v))
+    monkeypatch.setattr(
+        "amusic_agents.config.TrainingConfig", lambda **v: TrainingConfig(**defaults | v)
+    )
     monkeypatch.setattr(choosing, "teacher_routes", lambda config, routes: banks(20, 2))
     monkeypatch.setattr(choosing, "PARTS", 2)
     monkeypatch.setitem(choosing.make_teacher.__kwdefaults__, "grid", choosing.GRID[:3])

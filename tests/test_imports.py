@@ -11,16 +11,18 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
+PATHS = (ROOT, ROOT / "agents", ROOT / "baselines")
 HEAVY = ("torch", "cv2", "pygame", "stable_baselines3", "matplotlib", "numba", "scipy.stats")
-OURS = {"amusic_gym", "baselines", "agents", "scripts", "tests"}
+OURS = {"amusic_gym", "amusic_baselines", "amusic_agents", "scripts", "tests"}
 
 # What each package may use of the others.
 ALLOWED = {
     "amusic_gym": set(),
-    "baselines": {"amusic_gym"},
-    "agents": {"amusic_gym"},
-    "scripts": {"amusic_gym", "baselines", "agents"},
+    "amusic_baselines": {"amusic_gym"},
+    "amusic_agents": {"amusic_gym"},
+    "scripts": {"amusic_gym", "amusic_baselines", "amusic_agents"},
 }
+FOLDERS = {"amusic_baselines": "baselines", "amusic_agents": "agents"}
 
 # Inside amusic_gym: what a part must not use, because that part is built on it.
 ROLLOUT = {"rollout", "comparison", "navigation"}
@@ -56,7 +58,7 @@ def loaded_after(code: str) -> set[str]:
         [sys.executable, "-W", "error", "-c", f"{code}\nimport sys; print(*sys.modules)"],
         capture_output=True,
         text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, PATHS))},
         timeout=120,
         check=True,
     )
@@ -106,14 +108,14 @@ def test_an_episode_needs_numba_but_nothing_else_heavy():
 
 
 def test_policies_that_are_not_learned_need_no_network():
-    loaded = loaded_after("import baselines, amusic_gym.rollout, amusic_gym.metrics")
+    loaded = loaded_after("import amusic_baselines, amusic_gym.rollout, amusic_gym.metrics")
     assert not loaded.intersection(set(HEAVY) - {"numba"})
 
 
 @pytest.mark.parametrize("package", ALLOWED)
 def test_packages_import_one_way(package):
     wrong = []
-    for file in files(ROOT / package):
+    for file in files(ROOT / FOLDERS.get(package, ".") / package):
         for name in imports(file.read_text(encoding="utf-8")):
             top = name.split(".")[0]
             if top in OURS - {package} - ALLOWED[package]:
@@ -139,18 +141,18 @@ def test_the_walk_sees_every_kind_of_import():
 from __future__ import annotations
 import torch.nn as nn
 if TYPE_CHECKING:
-    from agents import hidden
+    from amusic_agents import hidden
 else:
     import scipy
 def later():
     from amusic_gym import env
     class Inner:
-        import baselines.amusic
+        import amusic_baselines.amusic
 """
     assert imports(source) == {
         "__future__.annotations",
         "torch.nn",
         "scipy",
         "amusic_gym.env",
-        "baselines.amusic",
+        "amusic_baselines.amusic",
     }

@@ -10,26 +10,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from env_cases import random_bank
-from safetensors.torch import load_file
-from small_training import SMALL
-
-from agents import learners, subsets
-from agents.config import TrainingConfig, training_config
-from agents.evaluation import HeldOut
-from agents.learners import ALGORITHMS, KINDS
-from agents.learners.reselect import (
+from amusic_agents import learners, subsets
+from amusic_agents.config import TrainingConfig, training_config
+from amusic_agents.evaluation import HeldOut
+from amusic_agents.learners import ALGORITHMS, KINDS
+from amusic_agents.learners.reselect import (
     FIRST_LOGIT,
     HeldSelection,
     ReselectNetwork,
     ReselectSelector,
     ReselectSizes,
 )
-from agents.network import PRESENT, ROUTE_WIDTH, WIDTH
-from agents.run_folder import CHECKPOINT, SELECTOR, read_tensors
-from agents.selector import load_selector
-from agents.subsets import SubsetNetwork, SubsetSelector, SubsetSizes
-from agents.training import make_model, train
+from amusic_agents.network import PRESENT, ROUTE_WIDTH, WIDTH
+from amusic_agents.run_folder import CHECKPOINT, SELECTOR, read_tensors
+from amusic_agents.selector import load_selector
+from amusic_agents.subsets import SubsetNetwork, SubsetSelector, SubsetSizes
+from amusic_agents.training import make_model, train
+from env_cases import random_bank
+from safetensors.torch import load_file
+from small_training import SMALL
+
 from amusic_gym.bank import ScoreBank
 from amusic_gym.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
 from amusic_gym.rollout import Job, rollout, rollouts
@@ -54,7 +54,7 @@ class Quick(HeldOut):
 @pytest.fixture(autouse=True, scope="module")
 def quick():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("agents.training.HeldOut", Quick)
+        patch.setattr("amusic_agents.training.HeldOut", Quick)
         yield
 
 

@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from amusic_agents.config import TrainingConfig, stored
+from amusic_agents.network import SelectorNetwork
+from amusic_agents.run_folder import CONFIG, read_config, write_config, write_selector
+from amusic_agents.selector import learned_from_truth
+from amusic_agents.shipped import SHIPPED, shipped
 from env_cases import random_bank
 from small_training import SCRIPTS, SMALL
 from test_study import EVERYBODY, learned, plan_of
 
-from agents.config import TrainingConfig, stored
-from agents.network import SelectorNetwork
-from agents.run_folder import CONFIG, read_config, write_config, write_selector
-from agents.selector import learned_from_truth
-from agents.shipped import SHIPPED, shipped
 from amusic_gym import study
 from amusic_gym.comparison import compare, table
 from amusic_gym.marks import footnote, marked

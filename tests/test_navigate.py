@@ -14,12 +14,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from amusic_baselines import make_policy
 
 from amusic_gym.extraction import extract
 from amusic_gym.rollout import rollout
 from amusic_gym.routes.video import VideoFile, VideoWriter
 from amusic_gym.techniques import Technique
-from baselines import make_policy
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 PLACES, FRAMES = 12, 8

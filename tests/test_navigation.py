@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from amusic_baselines import POLICIES, make_policy
 from live_cases import NAMES, CountingMap, Stream, bank_of, live_of, maps_of, pair, traverse
 
 from amusic_gym.navigation import Sighting, TraceWriter, navigate
 from amusic_gym.policy import Context, Localiser
 from amusic_gym.rollout import Job, rollout, rollouts
 from amusic_gym.trace import CSV_COLUMNS, Trace
-from baselines import POLICIES, make_policy
 
 ARGUMENTS = {
     "raw": ["CALC"],
@@ -53,9 +53,8 @@ def make(spec, route, seed=3):
 def ppo():
     """A selector as training makes it, but with weights by chance."""
     import torch
-
-    from agents.network import NetworkConfig, SelectorNetwork
-    from agents.selector import TrainedSelector
+    from amusic_agents.network import NetworkConfig, SelectorNetwork
+    from amusic_agents.selector import TrainedSelector
 
     network = SelectorNetwork(NetworkConfig())
     torch.manual_seed(7)

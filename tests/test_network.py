@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from amusic_agents.adapter import SB3VecEnv
+from amusic_agents.config import TrainingConfig
+from amusic_agents.network import ABSENT, ROUTE_WIDTH, WIDTH, NetworkConfig, SelectorNetwork
+from amusic_agents.selector import TrainedSelector
+from amusic_agents.training import make_model
 from env_cases import random_bank
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from agents.adapter import SB3VecEnv
-from agents.config import TrainingConfig
-from agents.network import ABSENT, ROUTE_WIDTH, WIDTH, NetworkConfig, SelectorNetwork
-from agents.selector import TrainedSelector
-from agents.training import make_model
 from amusic_gym.rollout import rollout
 from amusic_gym.sources import Banks
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv

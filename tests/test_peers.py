@@ -8,6 +8,22 @@ from itertools import combinations, product
 import numpy as np
 import oracle as loops
 import pytest
+from amusic_baselines import NEEDS_GROUND_TRUTH, POLICIES, label, make_policy
+from amusic_baselines.borda import Borda, points
+from amusic_baselines.cascade import Cascade
+from amusic_baselines.dynmpf import DynamicFusion, subsets
+from amusic_baselines.hmm import MOVES, MarkovFilter, advance
+from amusic_baselines.hmpf import fuse, tiers_by_cost
+from amusic_baselines.mpf import (
+    MultiProcessFusion,
+    dissenter,
+    observations,
+    sequence_start,
+    viterbi,
+)
+from amusic_baselines.plurality import count_votes
+from amusic_baselines.scores import best_outside, scaled, standardised
+from amusic_baselines.switchhit import Experience, SwitchHit, simulated
 from env_cases import noisy_bank, random_bank
 from live_cases import pair
 from test_rollout import assert_same
@@ -16,16 +32,6 @@ from amusic_gym.bank import ScoreBank
 from amusic_gym.metrics import summarise
 from amusic_gym.policy import Context, Localiser
 from amusic_gym.rollout import rollout
-from baselines import NEEDS_GROUND_TRUTH, POLICIES, label, make_policy
-from baselines.borda import Borda, points
-from baselines.cascade import Cascade
-from baselines.dynmpf import DynamicFusion, subsets
-from baselines.hmm import MOVES, MarkovFilter, advance
-from baselines.hmpf import fuse, tiers_by_cost
-from baselines.mpf import MultiProcessFusion, dissenter, observations, sequence_start, viterbi
-from baselines.plurality import count_votes
-from baselines.scores import best_outside, scaled, standardised
-from baselines.switchhit import Experience, SwitchHit, simulated
 
 SPECS = [
     *("raw:T1", "single:T0", "subset:T0+T2", "music", "amusic", "amusic:evidence", "random:0.5"),

@@ -10,22 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from env_cases import random_actions, random_bank
-from live_cases import pair
-from safetensors.torch import load_file
-from small_training import SCRIPTS, SMALL, contents, stop_at
-
-from agents import policy_iteration
-from agents.config import (
+from amusic_agents import policy_iteration
+from amusic_agents.config import (
     RolloutConfig,
     TrainingConfig,
     stored_banks,
     stored_config,
     training_config,
 )
-from agents.evaluation import HeldOut
-from agents.network import PRESENT, ROUTE_WIDTH, WIDTH
-from agents.policy_iteration import (
+from amusic_agents.evaluation import HeldOut
+from amusic_agents.network import PRESENT, ROUTE_WIDTH, WIDTH
+from amusic_agents.policy_iteration import (
     PACE,
     Behaviour,
     Samples,
@@ -35,9 +30,9 @@ from agents.policy_iteration import (
     learn,
     roll_out,
 )
-from agents.run_folder import CHECKPOINT, CONFIG, EVALUATIONS, SELECTOR, write_tensors
-from agents.selector import load_selector
-from agents.subsets import (
+from amusic_agents.run_folder import CHECKPOINT, CONFIG, EVALUATIONS, SELECTOR, write_tensors
+from amusic_agents.selector import load_selector
+from amusic_agents.subsets import (
     SubsetNetwork,
     SubsetSelector,
     SubsetSizes,
@@ -45,7 +40,12 @@ from agents.subsets import (
     members,
     valid,
 )
-from agents.training import make_model
+from amusic_agents.training import make_model
+from env_cases import random_actions, random_bank
+from live_cases import pair
+from safetensors.torch import load_file
+from small_training import SCRIPTS, SMALL, contents, stop_at
+
 from amusic_gym.bank import ScoreBank
 from amusic_gym.env import TechniqueSelectionEnv
 from amusic_gym.observation import TECHNIQUE_FEATURES
@@ -75,7 +75,7 @@ class Quick(HeldOut):
 @pytest.fixture(autouse=True, scope="module")
 def quick():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("agents.policy_iteration.HeldOut", Quick)
+        patch.setattr("amusic_agents.policy_iteration.HeldOut", Quick)
         yield
 
 
@@ -677,7 +677,9 @@ def test_other_algorithms_learn_no_idling():
 
 
 def test_it_is_no_algorithm_that_learns_step_by_step():
-    with pytest.raises(ValueError, match=r"call agents.imitation.imitate or .*iterate_policy"):
+    with pytest.raises(
+        ValueError, match=r"call amusic_agents.imitation.imitate or .*iterate_policy"
+    ):
         make_model(small(), SimulatedRoutes(pool=1))
 
 
@@ -692,7 +694,9 @@ def command(monkeypatch, capsys):
     import train as script
 
     defaults = {**SMALL, "rollouts": RolloutConfig(**TRIED)}
-    monkeypatch.setattr("agents.config.TrainingConfig", lambda **v: TrainingConfig(**defaults | v))
+    monkeypatch.setattr(
+        "amusic_agents.config.TrainingConfig", lambda **v: TrainingConfig(**defaults | v)
+    )
     monkeypatch.setattr(sys, "argv", ["train.py"])
 
     def call(*arguments: object) -> tuple[int, list[str]]:

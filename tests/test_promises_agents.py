@@ -19,17 +19,17 @@ import numpy as np
 import pytest
 import small_training
 import torch
+from amusic_agents import keeper as keeper_module
+from amusic_agents.config import TrainingConfig
+from amusic_agents.evaluation import HeldOut
+from amusic_agents.keeper import Keeper
+from amusic_agents.run_folder import CHECKPOINT, EVALUATIONS, SELECTOR, read_tensors
+from amusic_agents.selector import load_selector
+from amusic_agents.training import train
 from env_cases import random_bank
 from safetensors.torch import load_file, save_file
 from small_training import SCRIPTS, SMALL, train_script
 
-from agents import keeper as keeper_module
-from agents.config import TrainingConfig
-from agents.evaluation import HeldOut
-from agents.keeper import Keeper
-from agents.run_folder import CHECKPOINT, EVALUATIONS, SELECTOR, read_tensors
-from agents.selector import load_selector
-from agents.training import train
 from amusic_gym.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
 from amusic_gym.rollout import rollout
 from amusic_gym.settings import SICSettings
@@ -67,7 +67,9 @@ def command(monkeypatch, capsys):
     import _cli
     import train as script
 
-    monkeypatch.setattr("agents.config.TrainingConfig", lambda **v: TrainingConfig(**SMALL | v))
+    monkeypatch.setattr(
+        "amusic_agents.config.TrainingConfig", lambda **v: TrainingConfig(**SMALL | v)
+    )
     monkeypatch.setattr(sys, "argv", ["train.py"])
 
     def call(*arguments: object) -> tuple[int, list[str]]:
@@ -209,7 +211,7 @@ def test_34_52_a_stop_of_the_command_saves_a_checkpoint(
     tmp_path, bank_folder, command, number, status
 ):
     run = tmp_path / "run"
-    code = small_training.signal_at("agents.keeper", "Keeper._on_step", 13, number)
+    code = small_training.signal_at("amusic_agents.keeper", "Keeper._on_step", 13, number)
     options = ("--out", run, "--bank", bank_folder, "--seed", 1)
     ended = train_script(*options, "--timesteps", 320, code=code)
     assert ended.returncode == status, ended.stderr
@@ -275,7 +277,7 @@ def test_35_a_killed_training_resumes_from_its_last_whole_checkpoint(
     tmp_path, bank_folder, command
 ):
     run = tmp_path / "run"
-    code = small_training.signal_at("agents.keeper", "Keeper._on_step", 19, signal.SIGKILL)
+    code = small_training.signal_at("amusic_agents.keeper", "Keeper._on_step", 19, signal.SIGKILL)
     ended = train_script("--out", run, "--bank", bank_folder, "--timesteps", 160, code=code)
     assert ended.returncode == -signal.SIGKILL, ended.stderr
     assert timesteps(run) == 64

@@ -185,9 +185,8 @@ def test_10_bad_arguments_are_one_line_and_status_2(run, tmp_path, banks, argume
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run folder whose selector was never trained."""
     import torch
-
-    from agents import run_folder
-    from agents.network import NetworkConfig, SelectorNetwork
+    from amusic_agents import run_folder
+    from amusic_agents.network import NetworkConfig, SelectorNetwork
 
     folder = tmp_path_factory.mktemp("run")
     torch.manual_seed(0)

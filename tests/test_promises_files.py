@@ -18,6 +18,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from amusic_agents.config import ImitationConfig, RolloutConfig, TrainingConfig, stored_config
+from amusic_agents.policy_iteration import iterate_policy
+from amusic_agents.run_folder import CHECKPOINT, CONFIG, EVALUATIONS, SELECTOR, read_config
+from amusic_agents.selector import load_selector
+from amusic_agents.training import train
 from env_cases import random_bank
 from safetensors.torch import load_file
 from small_training import contents
@@ -26,11 +31,6 @@ from test_imitation import Quick
 from test_imitation import small as small_ppo
 from test_policy_iteration import small as small_rollouts
 
-from agents.config import ImitationConfig, RolloutConfig, TrainingConfig, stored_config
-from agents.policy_iteration import iterate_policy
-from agents.run_folder import CHECKPOINT, CONFIG, EVALUATIONS, SELECTOR, read_config
-from agents.selector import load_selector
-from agents.training import train
 from amusic_gym import comparison_files, plots, storage
 from amusic_gym.comparison import compare, draw
 from amusic_gym.extraction.code import key_of
@@ -44,8 +44,8 @@ SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 @pytest.fixture(autouse=True, scope="module")
 def quick() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("agents.policy_iteration.HeldOut", Quick)
-        patch.setattr("agents.training.HeldOut", Quick)
+        patch.setattr("amusic_agents.policy_iteration.HeldOut", Quick)
+        patch.setattr("amusic_agents.training.HeldOut", Quick)
         yield
 
 
@@ -129,7 +129,7 @@ def named_score(run: Path) -> float | None:
 def test_35_policy_iteration_killed_at_any_rename_names_no_score_but_its_selector_s(
     tmp_path, routes, monkeypatch
 ):
-    monkeypatch.setattr("agents.policy_iteration.HeldOut", Better)
+    monkeypatch.setattr("amusic_agents.policy_iteration.HeldOut", Better)
     config = small_rollouts(rollouts={"iterations": 2, "epochs": 1})
     scores: dict[bytes, float] = {}
 
@@ -141,10 +141,10 @@ def test_35_policy_iteration_killed_at_any_rename_names_no_score_but_its_selecto
         if (score := named_score(arguments[0])) is not None:
             scores[(arguments[0] / SELECTOR).read_bytes()] = score
 
-    from agents.run_folder import write_config
+    from amusic_agents.run_folder import write_config
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("agents.keeper.write_config", noting)
+        patch.setattr("amusic_agents.keeper.write_config", noting)
         work(tmp_path / "whole")
     for out in kills(work, tmp_path / "killed", range(8, 13)):  # at the second iteration's end
         if (score := named_score(out)) is not None:

@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 import oracle
 import pytest
+from amusic_baselines import make_policy
 from env_cases import (
     ENV_NAME,
     assert_same,
@@ -25,7 +26,6 @@ from amusic_gym.policy import Context
 from amusic_gym.settings import STATISTICS
 from amusic_gym.sic import SIC
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
-from baselines import make_policy
 
 # ---- 6 -----------------------------------------------------------------------------------
 

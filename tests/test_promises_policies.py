@@ -6,6 +6,8 @@ import warnings
 
 import numpy as np
 import pytest
+from amusic_baselines import make_policy
+from amusic_baselines.amusic import differ
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -15,8 +17,6 @@ from amusic_gym.bank import ScoreBank
 from amusic_gym.metrics import summarise
 from amusic_gym.policy import Context
 from amusic_gym.rollout import rollout
-from baselines import make_policy
-from baselines.amusic import differ
 
 corrections = st.integers(2, 30).flatmap(
     lambda n: arrays(np.float64, (2, n), elements=st.floats(-50, 50, width=32))

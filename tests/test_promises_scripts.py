@@ -14,16 +14,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from amusic_agents.config import MOST_ROUTES, TrainingConfig
+from amusic_baselines import make_policy
 from live_cases import TOLERANCE, Columns, live_of, map_of, maps_of, traverse
 
-from agents.config import MOST_ROUTES, TrainingConfig
 from amusic_gym.bank import ScoreBank
 from amusic_gym.ground_truth import LARGEST_TOLERANCE
 from amusic_gym.live import LiveRoute
 from amusic_gym.navigation import navigate
 from amusic_gym.routes.video import Camera, VideoWriter
 from amusic_gym.window import Window
-from baselines import make_policy
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 

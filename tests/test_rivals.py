@@ -8,6 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from amusic_baselines import READS_COMPUTE_WEIGHT, make_policy
+from amusic_baselines.costs import cheapest, cost_ranks, cost_shares
+from amusic_baselines.periodic import Periodic
+from amusic_baselines.uniform import Uniform
+from amusic_baselines.voi import ValueOfInformation, best_subset
 from env_cases import random_bank
 from hypothesis import given
 from hypothesis import strategies as st
@@ -29,11 +34,6 @@ from amusic_gym.study import cells as kinds
 from amusic_gym.study.figures import draw
 from amusic_gym.study.findings import EVERYONE
 from amusic_gym.vector_env import TechniqueSelectionVectorEnv
-from baselines import READS_COMPUTE_WEIGHT, make_policy
-from baselines.costs import cheapest, cost_ranks, cost_shares
-from baselines.periodic import Periodic
-from baselines.uniform import Uniform
-from baselines.voi import ValueOfInformation, best_subset
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "scripts"))
 

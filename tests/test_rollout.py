@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from amusic_baselines import make_policy
 from env_cases import random_bank
 
 from amusic_gym.bank import ScoreBank
@@ -12,7 +13,6 @@ from amusic_gym.policy import Context, Localiser, Needs, Selector
 from amusic_gym.rollout import Job, rollout, rollouts
 from amusic_gym.settings import SICSettings
 from amusic_gym.trace import Trace
-from baselines import make_policy
 
 ARRAYS = (
     "predictions",

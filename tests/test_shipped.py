@@ -6,14 +6,14 @@ import sys
 
 import numpy as np
 import pytest
+from amusic_agents.config import TrainingConfig, stored
+from amusic_agents.network import SelectorNetwork
+from amusic_agents.run_folder import SELECTOR, read_config, write_config, write_selector
+from amusic_agents.selector import load_selector
+from amusic_agents.shipped import IDLING, PRETRAINED, SHIPPED, shipped
 from env_cases import random_bank
 from small_training import SCRIPTS, SMALL
 
-from agents.config import TrainingConfig, stored
-from agents.network import SelectorNetwork
-from agents.run_folder import SELECTOR, read_config, write_config, write_selector
-from agents.selector import load_selector
-from agents.shipped import IDLING, PRETRAINED, SHIPPED, shipped
 from amusic_gym.metrics import compute
 from amusic_gym.policy import Context
 from amusic_gym.rollout import Job, rollout, rollouts

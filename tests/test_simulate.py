@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from amusic_baselines import make_policy
 
 from amusic_gym.bank import ScoreBank
 from amusic_gym.policy import Context
@@ -17,7 +18,6 @@ from amusic_gym.routes.simulate import Simulation, planted, simulate
 from amusic_gym.routes.statistics import MEASURES, describe
 from amusic_gym.routes.world import World, decoys, no_repeats, repeated_places
 from amusic_gym.settings import STATISTICS
-from baselines import make_policy
 
 # Everything that could blur what a test looks at, off.
 PLAIN = Simulation(

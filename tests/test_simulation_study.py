@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from amusic_baselines import make_policy
 from env_cases import random_bank
 
 from amusic_gym.policy import Context
 from amusic_gym.rollout import rollout
 from amusic_gym.settings import STATISTICS, SICSettings
 from amusic_gym.sic import SIC
-from baselines import make_policy
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from amusic_baselines import make_policy
 from env_cases import random_bank
 from test_promises_compare import run, run_and_stop, trained  # noqa: F401  (fixtures)
 from test_rollout import Cycle
@@ -32,7 +33,6 @@ from amusic_gym.study.figures import draw
 from amusic_gym.study.findings import EVERYONE, ahead
 from amusic_gym.study.fronts import GRID, front_at, hypervolume
 from amusic_gym.study.tables import Table, tables, text, write_markdown
-from baselines import make_policy
 
 WEIGHTS = (0.1, 1.0, 8.0)
 

@@ -10,13 +10,12 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from amusic_agents.config import ImitationConfig, RolloutConfig, TrainingConfig
+from amusic_agents.imitation import IMITATION
+from amusic_agents.run_folder import CONFIG, SELECTOR
+from amusic_agents.selector import load_selector
+from amusic_agents.shipped import PRETRAINED, shipped
 from small_training import SCRIPTS, SMALL
-
-from agents.config import ImitationConfig, RolloutConfig, TrainingConfig
-from agents.imitation import IMITATION
-from agents.run_folder import CONFIG, SELECTOR
-from agents.selector import load_selector
-from agents.shipped import PRETRAINED, shipped
 
 if str(SCRIPTS) not in sys.path:
     sys.path.insert(0, str(SCRIPTS))  # the training, as the scripts find each other
@@ -57,7 +56,9 @@ def nothing_is_written_where_the_selector_ships():
 def command(tmp_path_factory):
     """Runs the command at a small size; what ships is in a folder of the test."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("agents.config.TrainingConfig", lambda **v: TrainingConfig(**{**v, **TINY}))
+        patch.setattr(
+            "amusic_agents.config.TrainingConfig", lambda **v: TrainingConfig(**{**v, **TINY})
+        )
         patch.setitem(train_default.learn.__kwdefaults__, "routes", 1)
         patch.setitem(train_default.learn.__kwdefaults__, "grid", _train_teacher.GRID[:3])
 
@@ -166,8 +167,8 @@ def test_a_finished_training_is_not_begun_again(
     run = belief if statistic == "belief" else trained
     before = digests(run.out)
     for name in ("collect", "learn"):
-        monkeypatch.setattr(f"agents.policy_iteration.{name}", None)
-    monkeypatch.setattr("agents.imitation.imitate_then_train", None)
+        monkeypatch.setattr(f"amusic_agents.policy_iteration.{name}", None)
+    monkeypatch.setattr("amusic_agents.imitation.imitate_then_train", None)
     monkeypatch.setattr("_train_teacher.make_teacher", None)
     command(run.out, run.shipped, "--statistic", statistic)
     assert capsys.readouterr().out.endswith(f"is the selector that ships for {statistic!r}\n")

@@ -10,20 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from amusic_agents import network
+from amusic_agents.config import TrainingConfig, stored_banks, stored_config
+from amusic_agents.evaluation import COMPUTE_WEIGHTS, Evaluation, HeldOut
+from amusic_agents.keeper import Keeper
+from amusic_agents.learners.common import make_env
+from amusic_agents.network import NetworkConfig, SelectorNetwork
+from amusic_agents.run_folder import CHECKPOINT, EVALUATIONS, SELECTOR, read_config, read_tensors
+from amusic_agents.selector import TrainedSelector, load_selector
+from amusic_agents.training import make_model, train
 from env_cases import random_bank
 from small_training import SMALL
 from stable_baselines3.common.logger import Logger
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from agents import network
-from agents.config import TrainingConfig, stored_banks, stored_config
-from agents.evaluation import COMPUTE_WEIGHTS, Evaluation, HeldOut
-from agents.keeper import Keeper
-from agents.learners.common import make_env
-from agents.network import NetworkConfig, SelectorNetwork
-from agents.run_folder import CHECKPOINT, EVALUATIONS, SELECTOR, read_config, read_tensors
-from agents.selector import TrainedSelector, load_selector
-from agents.training import make_model, train
 from amusic_gym import observation
 from amusic_gym.bank import ScoreBank
 from amusic_gym.metrics import compute

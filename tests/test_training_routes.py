@@ -7,11 +7,11 @@ import sys
 
 import numpy as np
 import pytest
+from amusic_agents.config import TrainingConfig, stored, stored_config
+from amusic_agents.run_folder import write_config
+from amusic_agents.training import simulated_routes
 from small_training import SCRIPTS
 
-from agents.config import TrainingConfig, stored, stored_config
-from agents.run_folder import write_config
-from agents.training import simulated_routes
 from amusic_gym.routes.simulate import POPULATION, TOURS
 
 if str(SCRIPTS) not in sys.path:

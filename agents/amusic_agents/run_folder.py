@@ -1,0 +1,194 @@
+"""A trained selector on disk: weights as safetensors, everything else as JSON and CSV, no pickle.
+
+Layout of a run folder::
+
+    config.json             arguments of the training, banks, versions, best evaluation
+    selector.safetensors    the best selector so far
+    checkpoint.safetensors  weights, optimiser and random state of the last checkpoint, and the
+                            best weights
+    evaluation.csv          timesteps, score, accuracy, compute at every evaluation
+    progress.csv, events.*  Stable-Baselines3's log and TensorBoard's; progress-N.csv after a
+                            resume at N timesteps
+
+No file of another program is loaded, above all no zip of Stable-Baselines3: those hold pickles.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import nn
+
+from amusic_agents.learners import KINDS, Kind
+from amusic_agents.learners import kind as kind_of
+from amusic_agents.network import VERSION as NETWORK_VERSION
+from amusic_gym.observation import VERSION as OBSERVATION_VERSION
+from amusic_gym.settings import STATISTICS
+from amusic_gym.storage import parse_json, read_json, write_whole
+
+FORMAT_VERSION = 1
+CONFIG = "config.json"
+SELECTOR = "selector.safetensors"
+CHECKPOINT = "checkpoint.safetensors"
+EVALUATIONS = "evaluation.csv"
+BEST = "best."
+"""Prefix of the selector's weights in a checkpoint."""
+
+FIRST_KIND = next(iter(KINDS))
+
+ENVIRONMENT = ("candidates", "history", "gamma", "carry", "discount", "allow_idle")
+"""Arguments of the environment that a run may set besides the statistic."""
+
+Tensors = dict[str, torch.Tensor]
+
+
+def versions(statistic: str) -> dict[str, Any]:
+    """What stored weights depend on."""
+    return {
+        "format": FORMAT_VERSION,
+        "observation": OBSERVATION_VERSION,
+        "network": NETWORK_VERSION,
+        "statistic": statistic,
+    }
+
+
+def write_config(run: Path, config: dict[str, Any]) -> None:
+    """Write ``config.json``, whole or not at all."""
+    write_whole(run / CONFIG, (json.dumps(config, indent=1) + "\n").encode())
+
+
+def read_config(run: Path) -> dict[str, Any]:
+    """Read and check ``config.json``.
+
+    Raises:
+        FileNotFoundError: if the folder is not one of a training.
+        ValueError: for a file that is no JSON, or one of another version.
+    """
+    path = run / CONFIG
+    if not path.is_file():
+        raise FileNotFoundError(f"{run} is no run folder: {CONFIG} is missing; train one first")
+    config: dict[str, Any] = read_json(path, "train the selector again")
+    try:
+        stored = dict(config["versions"])
+        environment = dict(config["environment"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is damaged ({error}); train the selector again") from error
+    if stored.get("statistic") not in STATISTICS:
+        raise ValueError(
+            f"{run} was trained with the statistic {stored.get('statistic')!r}, this program has"
+            f" {' and '.join(STATISTICS)}; train the selector again"
+        )
+    if unknown := sorted(environment.keys() - set(ENVIRONMENT)):
+        raise ValueError(
+            f"{path} asks for {unknown[0]!r} of the environment, known are"
+            f" {', '.join(ENVIRONMENT)}; train the selector again"
+        )
+    for name, value in versions(stored["statistic"]).items():
+        if stored.get(name) != value:
+            raise ValueError(
+                f"{run} was trained with {name} version {stored.get(name)}, this program has"
+                f" {value}; train the selector again"
+            )
+    return config
+
+
+def write_tensors(path: Path, tensors: Tensors, metadata: dict[str, str]) -> None:
+    """Write tensors and their metadata as one file, whole or not at all."""
+    kept = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    write_whole(path, save(kept, metadata))
+
+
+def read_tensors(path: Path) -> tuple[Tensors, dict[str, str]]:
+    """Read tensors and metadata.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it is no safetensors file, or a truncated one.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} is missing; train the selector first")
+    try:
+        with safe_open(path, framework="pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            return tensors, file.metadata() or {}
+    except SafetensorError as error:
+        raise ValueError(f"{path} is no whole safetensors file ({error}); train again") from error
+
+
+def read_list(path: Path, metadata: Mapping[str, str], name: str) -> list[Any]:
+    """The list that the metadata ``name`` of a file of tensors holds.
+
+    Raises:
+        KeyError: where there is none.
+        ValueError: where it is no list of plain finite values.
+    """
+    found: list[Any] = parse_json(metadata[name].encode(), path, "train again", list)
+    return found
+
+
+def part(tensors: Tensors, prefix: str) -> Tensors:
+    """The tensors whose names begin with a prefix, without it."""
+    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+
+
+def write_selector(run: Path, network: nn.Module, sizes: Any, kind: str = FIRST_KIND) -> None:
+    """Store a network as the run's selector.
+
+    Args:
+        run: the run folder.
+        network: the network.
+        sizes: dataclass of its sizes.
+        kind: what it is, a name out of `amusic_agents.learners.KINDS`.
+    """
+    about = asdict(sizes) if kind == FIRST_KIND else {"kind": kind, **asdict(sizes)}
+    # One entry: safetensors writes several in any order, and the same weights are the same bytes.
+    write_tensors(run / SELECTOR, dict(network.state_dict()), {"network": json.dumps(about)})
+
+
+def read_selector(run: Path) -> tuple[Kind, nn.Module]:
+    """Load the run's selector.
+
+    Raises:
+        ValueError: for weights of other names or shapes, naming the first.
+    """
+    path = run / SELECTOR
+    tensors, metadata = read_tensors(path)
+    try:
+        about = parse_json(metadata["network"].encode(), path, "train again")
+        kind = kind_of(about.pop("kind", FIRST_KIND))
+        network = kind.network(kind.sizes(**about))
+    except (KeyError, TypeError, ValueError, RuntimeError, ArithmeticError) as error:
+        raise ValueError(f"{path} holds no selector ({error}); train again") from error
+    check_layers(path, tensors, network.state_dict())
+    network.load_state_dict(tensors)
+    return kind, network.eval()
+
+
+def check_layers(path: Path, tensors: Tensors, expected: Mapping[str, torch.Tensor]) -> None:
+    """Refuse weights that are not those of a network.
+
+    Raises:
+        ValueError: naming the first layer of another name, shape or type, or with NaN.
+    """
+    for name in sorted(expected.keys() | tensors.keys()):
+        have, want = tensors.get(name), expected.get(name)
+        if have is None or want is None or (have.shape, have.dtype) != (want.shape, want.dtype):
+            raise ValueError(
+                f"{path}: layer {name!r} is {_kind(have)}, the network needs {_kind(want)};"
+                f" train again"
+            )
+        if not torch.isfinite(have).all():
+            raise ValueError(f"{path}: layer {name!r} holds NaN or infinity; train again")
+
+
+def _kind(tensor: torch.Tensor | None) -> str:
+    if tensor is None:
+        return "none"
+    return f"{tuple(tensor.shape)} {str(tensor.dtype).removeprefix('torch.')}"

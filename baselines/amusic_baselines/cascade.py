@@ -1,0 +1,82 @@
+"""Margin cascade: a cheap subset always, the dearer techniques while in doubt."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_baselines.arguments import number, parts, whole
+from amusic_baselines.costs import cost_ranks
+from amusic_gym.names import suggest
+from amusic_gym.policy import Context, Needs
+
+CHEAP = 2
+HOLD = 20
+THRESHOLD = 0.5
+FORM = "CHEAP/HOLD/THRESHOLD"
+
+DOUBTS = {"p": "p_correct", "margin": "margin"}
+"""What a threshold may be of -> its name in the environment's infos."""
+
+
+class Cascade:
+    """Runs the cheapest techniques, and all others for some frames after p̂ falls low.
+
+    The hold is a hysteresis: a technique needs some frames in a row before SIC profits from it.
+
+    Args:
+        cheap: how many techniques always run.
+        hold: frames for which the others run after a doubt.
+        threshold: p̂, or margin, below which there is doubt.
+        doubt: ``"p_correct"`` or ``"margin"``, the fused statistic's lead over its best rival.
+    """
+
+    needs = Needs()
+
+    def __init__(
+        self,
+        cheap: int = CHEAP,
+        hold: int = HOLD,
+        threshold: float = THRESHOLD,
+        doubt: str = DOUBTS["p"],
+    ) -> None:
+        self.cheap = cheap
+        self.hold = hold
+        self.threshold = threshold
+        self.doubt = doubt
+        self._left = np.zeros(0, np.int64)  # (N,) frames for which the dear ones still run
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Forget the doubts of the routes of ``mask``."""
+        if self._left.size != mask.size:
+            self._left = np.zeros(mask.size, np.int64)
+        self._left[mask] = 0
+
+    def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
+        """Cheap subset, and everything while in doubt."""
+        doubt = (info[self.doubt] < self.threshold) & (info["frame"] >= 0)
+        self._left = np.where(doubt, self.hold, np.maximum(self._left - 1, 0))
+        return ((cost_ranks(info) < self.cheap) | (self._left > 0)[:, None]) & info["present"]
+
+
+def cascade(argument: str | None, context: Context) -> Cascade:
+    """``cascade`` or ``cascade:CHEAP/HOLD/THRESHOLD``; without, the cheapest two, 20 frames, 0.5.
+
+    The threshold is of p̂; ``p=0.5`` says so, ``margin=2`` is one of the margin.
+    """
+    if argument is None:
+        return Cascade()
+    cheap, hold, threshold = parts("cascade", argument, FORM)
+    kind, equals, value = threshold.rpartition("=")
+    kind = kind if equals else "p"
+    if kind not in DOUBTS:
+        raise ValueError(f"cascade:{argument}: {suggest('kind of doubt', kind, DOUBTS)}")
+    return Cascade(
+        whole("cascade", argument, "CHEAP", cheap, 1, len(context.techniques)),
+        whole("cascade", argument, "HOLD", hold, 1, 1_000_000),
+        number("cascade", argument, "THRESHOLD", value, 0.0, *([1.0] if kind == "p" else [])),
+        DOUBTS[kind],
+    )

@@ -1,0 +1,34 @@
+"""One technique without correction: the best score of every row."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from amusic_baselines.arguments import required
+from amusic_gym.bank import floored
+from amusic_gym.policy import Context, Run
+
+
+class Raw:
+    """Uncorrected matches of one technique; the raw score is the confidence.
+
+    Args:
+        technique: its index.
+    """
+
+    def __init__(self, technique: int) -> None:
+        self.technique = technique
+
+    def reset(self, references: int, techniques: int) -> None:
+        """Nothing to forget."""
+
+    def locate(self, frame: int, run: Run) -> tuple[int, float]:
+        """Place of the best score, ties to the lower."""
+        row = floored(run(self.technique))
+        place = int(np.argmax(row))
+        return place, float(row[place])
+
+
+def raw(argument: str | None, context: Context) -> Raw:
+    """``raw:NAME``."""
+    return Raw(context.index(required("raw", argument, "NAME")))
