@@ -3,8 +3,8 @@
 For ``evidence`` by policy iteration with rollouts. For ``belief`` a cascade is chosen for every
 part of the range of λ, imitated, and the imitation goes on learning with PPO. All of it on
 simulated routes, by their ground truth. The run folder is ``--out``; ``--ship`` puts its selector
-into the statistic's folder in ``agents/amusic_agents/pretrained``, unless the one that is there does
-better. A run that was stopped goes on where it was.
+into its folder in ``agents/amusic_agents/pretrained``, unless the one that is there does better. A
+run that was stopped goes on where it was.
 """
 
 from __future__ import annotations
