@@ -100,7 +100,12 @@ class Material:
 
     def check_frame(self, frame: int, rewards: Any, infos: dict[str, Any] | None) -> None:
         """Compare a frame of routes 0 … N−1 with NumPy; compute costs 1 where everything ran."""
+        until = np.arange(frame + 1)
         for i, reward in enumerate(np.atleast_1d(rewards)):
+            places, techniques = (column[: frame + 1] for column in self.predicted[i])
+            similarities = np.array(
+                [self.z[t][i + q, p] for q, t, p in zip(until, techniques, places, strict=True)]
+            )
             want = reference.expected(
                 self.z,
                 self.top,
@@ -108,8 +113,9 @@ class Material:
                 frame,
                 history=self.sizes.history,
                 tolerance=TOLERANCE,
-                track=reference.track_of(self.predicted[i][: frame + 1]),
-                calibration=coefficients("evidence")[:6],
+                track=reference.track_of(places),
+                recent=reference.recent_of(similarities),
+                calibration=coefficients("evidence")[:8],
             )
             same(f"reward of route {i} at frame {frame}", reward, want.p_correct - 1.0, 1e-5)
             for name in ("prediction", "technique", "confidence") if infos else ():
@@ -118,7 +124,7 @@ class Material:
 
     @cached_property
     def predicted(self) -> list[Any]:
-        """Places (Q,) on every route where everything runs."""
+        """Places and techniques, (Q,) each, on every route where everything runs."""
         sizes, sums = self.sizes, [reference.summed(rows) for rows in self.z]
         known = (sums, self.top)
         return [

@@ -76,8 +76,8 @@ def summed(z: Floats) -> Floats:
 
 def predicted(
     sums: Sequence[Floats], top: Sequence[Ints], start: int, frames: int, history: int
-) -> Ints:
-    """MuSIC's places (Q,) on a route of so many frames from query ``start``, everything running.
+) -> tuple[Ints, Ints]:
+    """MuSIC's places and techniques, (Q,) each, on a route from query ``start``; all run.
 
     By differences of the sums along the diagonals, because :func:`gather` would take minutes.
     """
@@ -93,14 +93,23 @@ def predicted(
         )
     both = np.concatenate(values, axis=1)
     candidates = np.concatenate([places[start : start + frames] for places in top], axis=1)
-    found: Ints = candidates[np.arange(frames), both.argmax(axis=1)]
-    return found
+    best = both.argmax(axis=1)
+    found: Ints = candidates[np.arange(frames), best]
+    return found, best // top[0].shape[1]
 
 
 def track_of(places: Ints) -> int:
     """Number of frames in a row, up to the last, on which the place moved on by one."""
     breaks = np.flatnonzero(np.diff(places) != 1)
     return len(places) - 1 - (int(breaks[-1]) + 1 if len(breaks) else 0)
+
+
+def recent_of(similarities: Floats) -> float:
+    """Running mean of the similarity up to the last frame, of which the newest weighs a tenth."""
+    mean = 0.0
+    for similarity in similarities:
+        mean += 0.1 * (float(similarity) - mean)
+    return mean
 
 
 class Expected(NamedTuple):
@@ -121,13 +130,14 @@ def expected(
     history: int,
     tolerance: int,
     track: int,
+    recent: float,
     calibration: Floats,
 ) -> Expected:
     """MuSIC with all techniques on ``frame`` of a route that begins at query ``start``.
 
     ``z`` and ``top`` hold one array per technique, see :func:`gather`; ``track`` is that of the
-    frame, see :func:`track_of`; ``calibration`` are the coefficients of p̂ for `evidence` where the
-    winner has a rival.
+    frame, see :func:`track_of`, and ``recent`` see :func:`recent_of`; ``calibration`` are the
+    coefficients of p̂ for `evidence` where the winner has a rival.
     """
     places = [places[start + frame] for places in top]
     values = [
@@ -144,8 +154,12 @@ def expected(
     weights[technique] = 0.0
     support = np.where(np.abs(own - place) <= tolerance, weights, 0.0).max()
     inputs = [1.0, math.asinh(confidence), math.log1p(track), weights.max(), support]
-    logit = float(np.dot(calibration, [*inputs, math.asinh(margin)]))
-    return Expected(place, confidence, technique, 1.0 / (1.0 + math.exp(-logit)))
+    logits = [
+        float(np.dot(calibration[:6], [*inputs, math.asinh(margin)])),
+        float(np.dot(calibration[6:], [1.0, math.asinh(recent)])),
+    ]
+    p_correct = math.prod(1.0 / (1.0 + math.exp(-logit)) for logit in logits)
+    return Expected(place, confidence, technique, p_correct)
 
 
 COHOG_CELLS, COHOG_BINS = 32, 8

@@ -374,10 +374,12 @@ def test_arrays_that_do_not_fit_are_refused(tmp_path):
         from_arrays({"A": a, "B": b}, {"A": 1, "B": 1}, tolerance=0)
     with pytest.raises(ValueError, match=r"flat.npy has shape \(4,\)"):
         from_arrays({"A": tmp_path / "flat.npy"}, {"A": 1}, tolerance=0)
+    square = tmp_path / "square.npy"
+    np.save(square, np.ones((4, 4)))
     with pytest.raises(ValueError, match="no seconds for technique 'A'"):
-        from_arrays({"A": a}, {}, tolerance=0)
+        from_arrays({"A": square}, {}, tolerance=0)
     with pytest.raises(ValueError, match="seconds: unknown technique 'a': did you mean 'A'"):
-        from_arrays({"A": a}, {"A": 1, "a": 1}, tolerance=0)
+        from_arrays({"A": square}, {"A": 1, "a": 1}, tolerance=0)
     with pytest.raises(FileNotFoundError, match="none.npy does not exist"):
         from_arrays({"A": tmp_path / "none.npy"}, {"A": 1}, tolerance=0)
     with pytest.raises(ValueError, match="is a folder; give a file"):

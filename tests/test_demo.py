@@ -144,7 +144,9 @@ def test_demo_from_worlds_to_page(scripts, monkeypatch, tmp_path, capsys):
         *("fixed subsets", "A-MuSIC", "cascade", "periodic", "random", "may idle"),
         "value of information",
     }
-    assert {row["policy"] for row in studied["matches"]} == {"trained here", "ships"}
+    assert {row["policy"] for row in studied["matches"]} == {
+        *("trained here", "ships", "ships, may idle"),
+    }
     page = (out / "index.html").read_text()
     assert "data:image/png;base64" in page
     assert "data:image/jpeg;base64" in page  # the contact sheet

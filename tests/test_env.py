@@ -26,6 +26,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from amusic_gym import env as env_module
 from amusic_gym.bank import ScoreBank
+from amusic_gym.dynamics import IDLE_DECAY
 from amusic_gym.env import TechniqueSelectionEnv
 from amusic_gym.observation import (
     observation_names,
@@ -240,8 +241,8 @@ def test_idle_moves_on_and_decays(bank, statistic):
         assert not info["fallback"]
         assert info["technique"] == -1
         assert info["prediction"] == min(last["prediction"] + 1, bank.references - 1)
-        assert info["confidence"] == pytest.approx(0.9 * last["confidence"])
-        assert reward == info["p_correct"] == pytest.approx(0.9 * last["p_correct"])
+        assert info["confidence"] == pytest.approx(IDLE_DECAY * last["confidence"])
+        assert reward == info["p_correct"] == pytest.approx(IDLE_DECAY * last["p_correct"])
         assert info["seconds"] == 0.0
         last = info
     assert not any(info["ran"])

@@ -218,7 +218,9 @@ def test_an_unsteady_measurement_is_warned_of_each_time_and_told(monkeypatch, fo
     monkeypatch.setattr(seconds_module, "measure_cost", lambda *_: unsteady)
     for _ in range(2):
         with pytest.warns(UserWarning, match=r"'Tiny' took 0.139 s per run \(±80%\); measure ag"):
-            extracted = extract(*folders, [Tiny()], tolerance=1, cache=tmp_path / "cache")
+            extracted = extract(
+                *folders, [Tiny()], tolerance=1, ground_truth=FRAMES, cache=tmp_path / "cache"
+            )
     assert extracted.seconds.tolist() == [0.139]
     with warnings.catch_warnings():
         warnings.simplefilter("error")

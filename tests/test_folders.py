@@ -417,6 +417,7 @@ def test_from_file_reads_a_matrix_and_pairs(tmp_path, pair, separator):
     np.testing.assert_array_equal(truth.matrix(), matrix)
 
 
+@pytest.mark.filterwarnings("ignore:.*images of 2 folders are read as one route")
 @pytest.mark.parametrize("header", ["query,reference", "Query_Name;Ref Name", "reference\tquery"])
 def test_43_from_file_reads_pairs_of_file_names(tmp_path, header):
     reference = traverse(tmp_path / "r", ["a 1", "b", "sub/b", "0005"])  # sorted: 0005, a 1, …
@@ -435,6 +436,7 @@ def test_43_from_file_reads_pairs_of_file_names(tmp_path, header):
     np.testing.assert_array_equal(truth.matrix(), expected)
 
 
+@pytest.mark.filterwarnings("ignore:.*images of 2 folders are read as one route")
 @pytest.mark.parametrize(
     ("row", "sentence"),
     [

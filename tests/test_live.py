@@ -146,9 +146,8 @@ def test_the_bits_of_an_extracted_bank(tmp_path):
         folders.append(ImageFolder(tmp_path / name))
     reference, query = folders
     seconds = dict(zip(NAMES, SECONDS, strict=True))
-    bank = extract(
-        reference, query, techniques(), tolerance=1, seconds=seconds, cache=tmp_path / "c"
-    )
+    options = {"seconds": seconds, "ground_truth": np.arange(12), "cache": tmp_path / "c"}
+    bank = extract(reference, query, techniques(), tolerance=1, **options)
     maps = [describe_map(reference, t, cache=tmp_path / "c") for t in techniques()]
     live = LiveRoute(
         maps, tmp_path / "query", ground_truth=bank.truth, tolerance=1, seconds=SECONDS

@@ -438,7 +438,7 @@ def test_all_that_was_seen_is_learned_from_and_in_the_same_way_again():
     both, whole, one = (fitted(seen, short)[0] for seen in (parts, [joined], parts[:1]))
     for name, tensor in whole.state_dict().items():
         assert torch.equal(tensor, both.state_dict()[name])
-    assert not torch.equal(whole.value.weight, one.value.weight)
+    assert not torch.equal(whole.ensemble[0].value.weight, one.ensemble[0].value.weight)
 
 
 def test_only_differences_within_a_state_count():
@@ -448,10 +448,14 @@ def test_only_differences_within_a_state_count():
     short = RolloutConfig(epochs=2, batch_size=20)
     (first, loss), (second, other) = fitted([samples], short), fitted([lifted], short)
     assert loss == pytest.approx(other, rel=1e-4)
-    torch.testing.assert_close(first.value.weight, second.value.weight, rtol=1e-3, atol=1e-4)
+    torch.testing.assert_close(
+        first.ensemble[0].value.weight, second.ensemble[0].value.weight, rtol=1e-3, atol=1e-4
+    )
     third, other = fitted([samples], short, level=3.0)
     assert loss == pytest.approx(other, rel=1e-4)
-    torch.testing.assert_close(first.value.weight, third.value.weight, rtol=1e-3, atol=1e-4)
+    torch.testing.assert_close(
+        first.ensemble[0].value.weight, third.ensemble[0].value.weight, rtol=1e-3, atol=1e-4
+    )
 
 
 # ---- the iterations ------------------------------------------------------------------------

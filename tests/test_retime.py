@@ -268,11 +268,11 @@ def test_a_copy_of_a_technique_stays_a_copy(bank):
 
 
 def test_name_and_source_say_motion_seed_and_origin():
-    simulated = ScoreBank(np.ones((1, 2, 3)), ["A"], [1], tolerance=0, name="hall", source="me")
+    simulated = ScoreBank(np.ones((1, 2, 2)), ["A"], [1], tolerance=0, name="hall", source="me")
     retimed = retime(simulated, 3)
     assert retimed.name == "hall kidnapped 3"
     assert retimed.source == "re-timed (kidnapped) with seed 3 from hall: me"
-    nameless = retime(ScoreBank(np.ones((1, 2, 3)), ["A"], [1], tolerance=0), 3, PACED)
+    nameless = retime(ScoreBank(np.ones((1, 2, 2)), ["A"], [1], tolerance=0), 3, PACED)
     assert (nameless.name, nameless.source) == ("paced 3", "re-timed (paced) with seed 3")
 
 
@@ -284,6 +284,7 @@ def test_the_same_seed_gives_the_same_bank_and_the_same_frames_of_another(bank):
         ["A"],
         [1],
         tolerance=0,
+        ground_truth=np.arange(bank.queries),
     )
     assert retime(other, 7).scores[0, :, 0].tolist() == frames_of(bank.queries, 7).tolist()
 
@@ -309,7 +310,8 @@ def test_a_seed_that_is_none_is_refused(bank, tmp_path, seed):
 
 
 def test_a_bank_of_one_frame_stays_as_it_is_but_for_the_noise():
-    bank = ScoreBank(np.arange(6).reshape(2, 1, 3), ["A", "B"], [1, 2], tolerance=0)
+    scores = np.arange(6).reshape(2, 1, 3)
+    bank = ScoreBank(scores, ["A", "B"], [1, 2], tolerance=0, ground_truth=[0])
     noise = retime(bank, 0).scores - bank.scores
     assert (0 < abs(noise)).all()
     assert abs(noise).max() < 0.5

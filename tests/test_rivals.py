@@ -61,7 +61,8 @@ nothing that is dear needs to run again."""
 def dear_first():
     """Three techniques, the cheapest of them in the middle."""
     scores = random_bank(3, queries=23).scores
-    return ScoreBank(scores, ["T0", "T1", "T2"], [3.0, 1.0, 2.0], tolerance=2, name="dear")
+    names, seconds = ["T0", "T1", "T2"], [3.0, 1.0, 2.0]
+    return ScoreBank(scores, names, seconds, tolerance=2, ground_truth=np.arange(23), name="dear")
 
 
 # ---- costs -------------------------------------------------------------------------------------

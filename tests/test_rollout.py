@@ -180,7 +180,7 @@ def test_similarity_of_a_localiser_is_the_largest_z_score_in_the_rows_it_asked_f
     wide = scores.astype(float)
     at_place = (wide[:, :, 3] - wide.mean(axis=2)) / wide.std(axis=2)  # (T, Q)
     scores[1, 16], at_place[1, 16] = 0.1, 0.0  # a constant row
-    bank = ScoreBank(scores, bank.techniques, bank.seconds, tolerance=1)
+    bank = ScoreBank(scores, bank.techniques, bank.seconds, tolerance=1, ground_truth=bank.truth)
     trace = rollout(Turns(), bank, name="turns")
     for frame, found in enumerate(trace.similarity):
         asked = [[], [1], [0, 1, 2]][frame % 3] if frame % 5 else []

@@ -142,7 +142,7 @@ def test_damaged_images_are_named_together_or_left_out(run, arguments, folders, 
     spoiled.mkdir()
     for at, image in enumerate(sorted(folders[1].iterdir())[:6]):
         (spoiled / image.name).write_bytes(image.read_bytes()[: 40 if at in (1, 3) else None])
-    given = [*arguments, "--query", spoiled, "--tolerance", 0]
+    given = [*arguments, "--query", spoiled, "--tolerance", 0, "--truth-by", "index"]
     status, _, err = run(*given)
     assert status == 2
     assert err.startswith("bank.py: 2 images cannot be used: ")

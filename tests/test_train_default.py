@@ -179,6 +179,7 @@ def test_a_worse_selector_does_not_take_the_place_of_a_better_one(
     trained, command, better, capsys, monkeypatch
 ):
     before = digests(better)
+    monkeypatch.setattr(train_default, "score", lambda run, routes: float(run == better))
     monkeypatch.setattr(sys, "argv", ["train_default.py"])
     monkeypatch.setattr("warnings.formatwarning", warnings.formatwarning)  # run() replaces it
     with pytest.raises(SystemExit) as ended:
@@ -190,6 +191,7 @@ def test_a_worse_selector_does_not_take_the_place_of_a_better_one(
     assert "leave out --ship, or delete" in message
     assert digests(better) == before
     (better / SELECTOR).unlink()  # as the message says
+    monkeypatch.undo()
     command(trained.out, better, "--ship")
     assert train_default.is_same(trained.out, better)
 
@@ -199,6 +201,7 @@ def test_a_better_selector_takes_the_place_and_so_does_one_of_the_same_score(
 ):
     place = tmp_path / "place"
     place.mkdir()
+    monkeypatch.setattr(train_default, "score", lambda run, routes: float(run == better))
     train_default.ship(trained.out, place)
     train_default.ship(better, place)
     assert train_default.is_same(better, place)
