@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 import os
 import subprocess
 import sys
@@ -134,6 +135,22 @@ def test_parts_import_one_way(part):
             if pieces[0] == "amusic_gym" and FORBIDDEN[part].intersection(pieces[1:2]):
                 wrong.append(f"{file.relative_to(ROOT)} imports {name}")
     assert not wrong
+
+
+def test_no_module_imports_what_imports_it():
+    """Whether at the top or when used: a circle has no first module to read."""
+    modules = {}
+    for package in ALLOWED:
+        folder = ROOT / FOLDERS.get(package, ".")
+        for file in files(folder / package):
+            parts = file.relative_to(folder).with_suffix("").parts
+            modules[".".join(parts).removesuffix(".__init__")] = file
+    graph = {}
+    for name, file in modules.items():
+        used = imports(file.read_text(encoding="utf-8"))
+        found = {each if each in modules else each.rpartition(".")[0] for each in used}
+        graph[name] = {each for each in found if each in modules} - {name}
+    graphlib.TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
 
 
 def test_the_walk_sees_every_kind_of_import():

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from amusic_gym.extraction.blocks import Images, Stored, check_shape
 from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.code import describes_queries_alike, identity, key_of
-from amusic_gym.extraction.executors import S, Workers
+from amusic_gym.extraction.executors import Workers
 from amusic_gym.extraction.progress import Progress
-from amusic_gym.extraction.shards import Advance, DescribeShard, MatchShard
+from amusic_gym.extraction.shards import Advance, DescribeShard, MatchShard, S
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.images import check_image, digest_of, lost_levels, read_bytes
 from amusic_gym.techniques.protocol import Technique

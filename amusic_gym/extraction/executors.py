@@ -5,21 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager
 from types import TracebackType
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.extraction.shards import Advance, Shard, nothing
+from amusic_gym.extraction.shards import Advance, S, nothing
 from amusic_gym.names import nearest
 from amusic_gym.techniques.protocol import Technique
 
-ATTEMPTS = 3
-"""How often a shard is tried whose worker dies."""
-
 EXECUTORS = ("serial", "process:N", "ray", "ray:ADDRESS")
-
-S = TypeVar("S", bound=Shard)
 
 
 class Workers(Protocol):
@@ -34,7 +29,7 @@ class Workers(Protocol):
         process image by image, elsewhere shard by shard.
 
         Shards are taken from the iterable as workers become free. An error inside a shard is
-        raised here as it is; a shard whose worker died is run again, ``ATTEMPTS`` times in all.
+        raised here as it is; a shard whose worker died is run `shards.ATTEMPTS` times in all.
 
         Raises:
             ChildProcessError: when a shard's worker died each time.

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.extraction.executors import ATTEMPTS, S
-from amusic_gym.extraction.shards import Advance, Shard, nothing
+from amusic_gym.extraction.shards import ATTEMPTS, Advance, S, Shard, nothing
 from amusic_gym.techniques.own_code import told
 from amusic_gym.techniques.protocol import Technique
 

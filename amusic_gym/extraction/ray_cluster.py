@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.extraction.executors import ATTEMPTS, S
 from amusic_gym.extraction.processes import dumped, loaded
-from amusic_gym.extraction.shards import Advance, Shard, nothing
+from amusic_gym.extraction.shards import ATTEMPTS, Advance, S, Shard, nothing
 from amusic_gym.techniques.protocol import Technique
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +21,15 @@ from amusic_gym.extraction.blocks import (
 from amusic_gym.techniques.protocol import Descriptor, Technique
 from amusic_gym.threads import one_thread
 
+ATTEMPTS = 3
+"""How often a shard is tried whose worker dies."""
+
 Advance: TypeAlias = Callable[[int], object]
 """Called with an amount of work that was done."""
 
 
 def nothing(done: int) -> None:
-    """Tell nobody that work was done."""
+    """Progress callback that does nothing."""
 
 
 class Shard(Protocol):
@@ -49,6 +52,9 @@ class Shard(Protocol):
     def portable(self) -> Shard:
         """The same shard, holding arrays in place of files of the cache."""
         ...
+
+
+S = TypeVar("S", bound=Shard)
 
 
 @dataclass(frozen=True)
