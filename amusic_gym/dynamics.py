@@ -73,7 +73,7 @@ def correct_frame(
 
 
 @inner
-def remember(state: State, tolerance: int, i: int, s: int, frame: int, winner: int) -> None:
+def store_result(state: State, tolerance: int, i: int, s: int, frame: int, winner: int) -> None:
     """Store the outcome of a technique's run in its slot."""
     slot, values = state.slots[i, s], state.values[s]
     top, carried = top_at(state.runs[i, s], frame), state.carried[s]
@@ -89,8 +89,8 @@ def remember(state: State, tolerance: int, i: int, s: int, frame: int, winner: i
 
 
 @inner
-def recall(state: State, i: int, s: int, frame: int) -> None:
-    """Store in its slot what a technique's run made of the belief."""
+def load_result(state: State, i: int, s: int, frame: int) -> None:
+    """Store a technique's result from the belief in its slot."""
     slot, known = state.slots[i, s], state.witnesses[i, s]
     slot.last_run = frame
     slot.place = known.place
@@ -127,7 +127,7 @@ def choose_runs(state: State, rules: Rules, i: int, action: Any, out: Outcome) -
 
 @inner
 def note_runs(state: State, rules: Rules, i: int, out: Outcome) -> None:
-    """Write down what runs on the next frame, and what it costs."""
+    """Store what runs on the next frame, and its cost."""
     frame = state.routes[i].frame + 1
     ratio = ratio_of(rules.gamma, rules.evidence)
     for s in range(state.slots[i].size):
@@ -142,8 +142,8 @@ def note_runs(state: State, rules: Rules, i: int, out: Outcome) -> None:
 
 
 @inner
-def tell_of(state: State, i: int, s: int, out: Outcome) -> None:
-    """Copy what a technique's run came to, to the outcome."""
+def write_result(state: State, i: int, s: int, out: Outcome) -> None:
+    """Copy a technique's result to the step output."""
     slot = state.slots[i, s]
     out.slots[i, s].place = slot.place
     out.slots[i, s].statistic = slot.statistic
@@ -160,21 +160,21 @@ def correct_techniques(state: State, rules: Rules, i: int, frame: int, out: Outc
             prediction = state.routes[i].prediction
             fused = prediction + 1 if prediction >= 0 else -1
             winner = correct_frame(state, rules, i, s, frame, own, fused, out)
-            remember(state, state.routes[i].tolerance, i, s, frame, winner)
+            store_result(state, state.routes[i].tolerance, i, s, frame, winner)
             if rules.block:
                 state.places[i, s, frame] = slot.place
-            tell_of(state, i, s, out)
+            write_result(state, i, s, out)
 
 
 @spliced
-def recall_techniques(state: State, i: int, frame: int, out: Outcome) -> None:
-    """Take over what the belief made of the techniques that run on the frame."""
+def load_results(state: State, i: int, frame: int, out: Outcome) -> None:
+    """Load the belief's results of the techniques that run on the frame."""
     for s in range(state.slots[i].size):
         if state.slots[i, s].ran:
             if not prepare(state.runs[i, s], frame):
                 out.routes[i].bad_row = 1 + s * state.routes[i].frames + frame
-            recall(state, i, s, frame)
-            tell_of(state, i, s, out)
+            load_result(state, i, s, frame)
+            write_result(state, i, s, out)
 
 
 @inner
@@ -193,7 +193,7 @@ def logit_of(probability: float) -> float:
 
 @inner
 def weigh_others(state: State, i: int, chosen: int, frame: int) -> None:
-    """Ask the other techniques than the chosen one of the prediction.
+    """Weigh what the techniques that were not chosen say of the prediction.
 
     A technique counts less the longer ago it ran, and less the more its row was like the chosen
     one's, where they last ran together; a constant row says nothing at all. ``heard`` is the
@@ -231,7 +231,7 @@ def trust_highest(state: State, i: int, out: Outcome) -> int:
 
 
 @inner
-def arrive(route: Any, place: int) -> None:
+def set_prediction(route: Any, place: int) -> None:
     """Make ``place`` the prediction."""
     route.continues = 1.0 if route.prediction >= 0 and place == route.prediction + 1 else 0.0
     route.track = route.track + 0.1 if route.continues > 0.0 else 0.0
@@ -257,7 +257,7 @@ def fuse(state: State, i: int, frame: int, out: Outcome) -> bool:
             top = top_at(state.runs[i, s], frame)
             best = best_rival(state.values[s], top, state.carried[s], place, route.tolerance)
         rival = max(rival, best * slots[s].discount)
-    arrive(route, place)
+    set_prediction(route, place)
     route.confidence = slots[chosen].statistic
     discounted = slots[chosen].statistic * slots[chosen].discount
     route.margin = discounted - rival if rival > -math.inf else 0.0
@@ -293,7 +293,7 @@ def believe(state: State, rules: Rules, i: int, out: Outcome) -> None:
         known = known or state.slots[i, s].ran
     if not known:
         return
-    arrive(route, mind.place)
+    set_prediction(route, mind.place)
     route.margin = log_ratio(mind.share, mind.rival)
     route.said = mind.said
     if mind.heard > 0:
@@ -309,7 +309,7 @@ def believe(state: State, rules: Rules, i: int, out: Outcome) -> None:
 
 
 @inner
-def coast(route: Any) -> None:
+def predict_only(route: Any) -> None:
     """Move the prediction on by one place when nothing ran."""
     moves = 0 <= route.prediction < route.references - 1
     route.continues = 1.0 if moves else 0.0
@@ -465,7 +465,7 @@ def step_routes(address: int, stages: int) -> int:
                 correct_techniques(state, rules, i, frame, out)
                 idle, has_rival = out.routes[i].idle, False
                 if idle:
-                    coast(state.routes[i])
+                    predict_only(state.routes[i])
                 else:
                     has_rival = fuse(state, i, frame, out)
                 relate(state, rules, i, frame)
@@ -489,7 +489,7 @@ def step_beliefs(address: int, stages: int) -> int:
         for i in range(active.size):
             if active[i]:
                 frame = state.routes[i].frame + 1
-                recall_techniques(state, i, frame, out)
+                load_results(state, i, frame, out)
                 believe(state, rules, i, out)
                 relate(state, rules, i, frame)
                 finish(state, rules, i, frame, out)

@@ -9,7 +9,7 @@ import math
 from typing import Any
 
 from amusic_gym._compile import apart, compiled, inner
-from amusic_gym.dynamics import correct_frame, recall, remember
+from amusic_gym.dynamics import correct_frame, load_result, store_result
 from amusic_gym.records import LAGGED, LIVE, Outcome, Rules, State, batch_at
 from amusic_gym.rows import prepare, top_at
 from amusic_gym.sic import candidate_at, discount_of, first_best, push, ratio_of, weigh
@@ -117,7 +117,7 @@ def run_block(
         statistics[past - first, s] = values[winner] * discount
         out.corrections[i, s, past - first] = values[winner] - values[0]
         if past == frame - 1:
-            remember(state, state.routes[i].tolerance, i, s, past, winner)
+            store_result(state, state.routes[i].tolerance, i, s, past, winner)
 
 
 @apart
@@ -132,7 +132,7 @@ def recall_block(state: State, rules: Rules, i: int, frame: int, out: Outcome) -
                     out.routes[i].bad_row = 1 + s * state.routes[i].frames + past
             for past in range(size):
                 out.corrections[i, s, past] = state.corrections[i, s, past]
-            recall(state, i, s, frame - 1)
+            load_result(state, i, s, frame - 1)
 
 
 @apart
