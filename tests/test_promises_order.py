@@ -373,12 +373,12 @@ def test_47_jpegs_with_a_hole_or_an_early_end_are_refused(progressive, optimize,
 def test_47_a_hole_is_seen_wherever_it_begins():
     # Here zeros are blocks of as many bits as the picture's own, so that their number is right.
     data = saved("JPEG", photo(), quality=96)
-    for begin in range(len(data) // 3, len(data) - 200, 5):
+    for begin in range(len(data) // 3, len(data) - 200, 37):
         with pytest.raises(ValueError, match="is damaged: its picture data"):
             check_jpeg(data[:begin] + bytes(len(data) - 2 - begin) + b"\xff\xd9")
     smooth = cv2.GaussianBlur(photo(100, 160), (0, 0), 3)
     strips = saved("TIFF", smooth, compression="tiff_adobe_deflate")
-    for begin in range(len(strips) // 4, len(strips) // 2, 97):
+    for begin in range(len(strips) // 4, len(strips) // 2, 331):
         with pytest.raises(ValueError, match="is damaged: strip"):
             check_tiff(strips[:begin] + bytes(len(strips) - 300 - begin) + strips[-300:])
 
