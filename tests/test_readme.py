@@ -152,7 +152,7 @@ def test_stable_baselines_learns_many_times_as_the_readme_says() -> None:
     from stable_baselines3 import A2C, DQN, SAC, TD3
 
     found = re.search(
-        r"^    from agents\.adapter.*?\.learn\(.*?\)$", README.read_text("utf-8"), re.M | re.S
+        r"^    from amusic_agents\.adapter.*?\.learn\(.*?\)$", README.read_text("utf-8"), re.M | re.S
     )
     assert found
     code = textwrap.dedent(found[0])
