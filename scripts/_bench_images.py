@@ -116,7 +116,7 @@ def drive(
     sizes = pictures.sizes
     maps = [_large_map(pictures, pictures.technique(name)) for name in names]
     frames = (pictures.images * (1 + sizes.frames // len(pictures.images)))[: sizes.frames + 2]
-    route = LiveRoute(maps, frames, tolerance=TOLERANCE)
+    route = LiveRoute(maps, frames, tolerance=TOLERANCE, seconds=[1.0] * len(maps))
     context = Context.of(route, statistic=statistic)
     return list(navigate(make_policy(policy, context), route, statistic=statistic))[2:]
 
