@@ -151,9 +151,8 @@ def test_stable_baselines_learns_many_times_as_the_readme_says() -> None:
     import gymnasium as gym
     from stable_baselines3 import A2C, DQN, SAC, TD3
 
-    found = re.search(
-        r"^    from amusic_agents\.adapter.*?\.learn\(.*?\)$", README.read_text("utf-8"), re.M | re.S
-    )
+    code = r"^    from amusic_agents\.adapter.*?\.learn\(.*?\)$"
+    found = re.search(code, README.read_text("utf-8"), re.M | re.S)
     assert found
     code = textwrap.dedent(found[0])
     size = {name: int(re.search(rf"{name}=(\d+)", code)[1]) for name in ("num_envs", "n_steps")}  # type: ignore[index]
