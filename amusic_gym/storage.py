@@ -301,11 +301,12 @@ def refuse_to_replace_others(path: Path, marker: str, contents: frozenset[str]) 
     Raises:
         ValueError: when ``path`` is something that must not be replaced.
     """
-    if not path.exists():
+    try:
+        found = {entry.name for entry in path.iterdir()}
+    except FileNotFoundError:  # perhaps while another writer exchanges it
         return
-    if not path.is_dir():
-        raise ValueError(f"{path} exists and is not a folder; choose another name")
-    found = {entry.name for entry in path.iterdir()}
+    except NotADirectoryError:
+        raise ValueError(f"{path} exists and is not a folder; choose another name") from None
     if found and (marker not in found or found - contents):
         other = sorted(found - contents) or sorted(found)
         raise ValueError(
