@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from _cli import Parser, by_technique, number, pairs
 
-from amusic_gym.names import suggest
+from amusic_gym.utils.names import suggest
 
 if TYPE_CHECKING:
     from amusic_gym.techniques import Technique

@@ -12,8 +12,8 @@ from _bank_extract import Techniques, add_extraction, extract_bank
 from _cli import Parser
 from _folders import add_reading, map_of, run_of
 
-from amusic_gym.checks import whole
-from amusic_gym.ground_truth import GroundTruth
+from amusic_gym.banks.ground_truth import GroundTruth
+from amusic_gym.utils.checks import whole
 
 _LEAST_SIZE = 16  # of a rendered image's sides, in pixels
 TRUTH_BY = ("index", "name", "position")
@@ -50,7 +50,7 @@ def images(args: argparse.Namespace) -> None:
 def render(args: argparse.Namespace) -> None:
     """One made-up route, drawn under several conditions -> a folder of images for each."""
     from amusic_gym.extraction.progress import Progress
-    from amusic_gym.routes.rendered import SIZE, render_folders
+    from amusic_gym.worlds import SIZE, render_folders
 
     size = SIZE if args.size is None else _size(args.size)
     conditions = list(dict.fromkeys(text.strip() for text in args.condition.split(",")))

@@ -18,7 +18,7 @@ _PART = re.compile(r"([^:]+):([^:]+?)(?:@(\d+):(\d+):([1-9]\d*))?")
 
 def tour(args: argparse.Namespace) -> None:
     """Several pairs of image folders, one drive under changing conditions -> a bank."""
-    from amusic_gym.bank_files import check_destination
+    from amusic_gym.banks.bank_files import check_destination
     from amusic_gym.extraction.progress import Progress
     from amusic_gym.routes import tours
     from amusic_gym.routes.conditions import CONDITIONS

@@ -22,8 +22,8 @@ import _cli  # noqa: E402, F401  (finds the package)
 # isort: split
 import numpy as np  # noqa: E402
 
-from amusic_gym.bank import ScoreBank  # noqa: E402
-from amusic_gym.env import TechniqueSelectionEnv  # noqa: E402
+from amusic_gym.banks.bank import ScoreBank  # noqa: E402
+from amusic_gym.envs.env import TechniqueSelectionEnv  # noqa: E402
 
 LIMIT = 2 << 30
 """Bytes of memory of its own that the process may have; the mapped bank is the system's."""

@@ -13,7 +13,7 @@ from _bench_material import Sizes
 from _bench_reference import COHOG_CELLS, COHOG_OPERATIONS
 from _timing import Medians
 
-from amusic_gym.storage import write_whole
+from amusic_gym.utils.storage import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,14 +13,14 @@ from _timing import Medians, Side, alone, interleave
 from amusic_baselines import make_policy
 from numpy.typing import NDArray
 
+from amusic_gym.envs.live_route import LiveRoute
+from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.extraction import BLOCK
 from amusic_gym.extraction.map import DescribedMap
-from amusic_gym.live import LiveRoute
-from amusic_gym.navigation import Sighting, navigate
-from amusic_gym.policy import Context
-from amusic_gym.routes.rendered import traverse
-from amusic_gym.settings import SICSettings
+from amusic_gym.live.navigation import Sighting, navigate
+from amusic_gym.policies.protocol import Context
 from amusic_gym.techniques import TECHNIQUES, Technique, make_technique
+from amusic_gym.worlds import traverse
 
 TOLERANCE = 2
 

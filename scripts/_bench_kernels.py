@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from amusic_gym._compile import compiled
-from amusic_gym.rows import top_at
-from amusic_gym.sic import best_candidate, candidate_at, push, weigh
+from amusic_gym.banks.rows import top_at
+from amusic_gym.estimation.sic import best_candidate, candidate_at, push, weigh
+from amusic_gym.kernels.compiling import compiled
 
 BYTES_PER_PLACE = 4 + 8 + 8  # read a float32 score, read and write a float64 sum
 

@@ -10,9 +10,9 @@ import numpy as np
 from _bench_material import Corrections, Material, Sizes
 from _timing import Side, interleave
 
-from amusic_gym import sic
-from amusic_gym._compile import compiled
-from amusic_gym.rows import mean_at, row_at, scale_at, top_at
+from amusic_gym.banks.rows import mean_at, row_at, scale_at, top_at
+from amusic_gym.estimation import sic
+from amusic_gym.kernels.compiling import compiled
 
 DOUBLES = 8
 """Numbers in a cache line."""

@@ -10,12 +10,12 @@ import _bench_reference as reference
 import numpy as np
 from _bench_kernels import correct_routes
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.calibration import coefficients
-from amusic_gym.episode import Episodes, Route
-from amusic_gym.rows import prepare
-from amusic_gym.settings import SICSettings
-from amusic_gym.sic import CARRIED
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.rows import prepare
+from amusic_gym.envs.episode import Episodes, Route
+from amusic_gym.estimation.calibration import coefficients
+from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.estimation.sic import CARRIED
 
 TOLERANCE = 5
 

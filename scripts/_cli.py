@@ -51,8 +51,8 @@ sys.excepthook = _end  # scripts import this module before what takes long
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / folder) for folder in (".", "agents", "baselines")]
 
-from amusic_gym.escaping import for_terminal  # noqa: E402  (found by the line above)
-from amusic_gym.names import nearest  # noqa: E402
+from amusic_gym.utils.escaping import for_terminal  # noqa: E402  (found by the line above)
+from amusic_gym.utils.names import nearest  # noqa: E402
 
 
 class Parser(argparse.ArgumentParser):
@@ -120,7 +120,7 @@ def add_correction(parser: Parser, whose: str) -> None:
 
 def destination(text: str) -> Path:
     """A file or folder to write, as argparse's ``type``: nothing goes into a bank's folder."""
-    from amusic_gym.bank_files import refuse_within_bank  # here: it takes long to import
+    from amusic_gym.banks.bank_files import refuse_within_bank  # here: it takes long to import
 
     try:
         refuse_within_bank(Path(text))

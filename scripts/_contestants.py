@@ -12,9 +12,9 @@ from amusic_agents.shipped import PRETRAINED, SHIPPED, shipped
 from amusic_baselines import NEEDS_GROUND_TRUTH, READS_COMPUTE_WEIGHT, make_policy
 from amusic_baselines.arguments import IDLE
 
-from amusic_gym.comparison import COMPUTE_WEIGHTS, Contestant
-from amusic_gym.comparison_files import code_digest, file_digest
-from amusic_gym.policy import Context, Correction, Policy
+from amusic_gym.evaluation.comparison import COMPUTE_WEIGHTS, Contestant
+from amusic_gym.evaluation.comparison_files import code_digest, file_digest
+from amusic_gym.policies.protocol import Context, Correction, Policy
 
 BASELINES = Path(amusic_baselines.__file__).parent
 

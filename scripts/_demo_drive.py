@@ -8,17 +8,17 @@ from pathlib import Path
 import _demo_tours as rendered
 import cv2
 
-from amusic_gym.bank import ScoreBank
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.live_route import LiveRoute
+from amusic_gym.envs.pictures.sightings import Pictures
+from amusic_gym.envs.task import RENDER_FPS
 from amusic_gym.extraction import Cache, describe_map
-from amusic_gym.live import LiveRoute
-from amusic_gym.navigation import navigate
-from amusic_gym.pictures.sightings import Pictures
-from amusic_gym.policy import Selector
+from amusic_gym.live.navigation import navigate
+from amusic_gym.policies.protocol import Selector
 from amusic_gym.routes.tours import Tour
 from amusic_gym.routes.video import VideoWriter
-from amusic_gym.storage import write_whole
-from amusic_gym.task import RENDER_FPS
 from amusic_gym.techniques import make_technique
+from amusic_gym.utils.storage import write_whole
 
 COMPUTE_WEIGHT = 0.3
 SHOWN = 60

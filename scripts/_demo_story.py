@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from amusic_gym.audit import PARTING
-from amusic_gym.plots.labels import policy_label
-from amusic_gym.study import Findings
-from amusic_gym.study.cells import FRONTS, IDLE
-from amusic_gym.study.findings import ahead
-from amusic_gym.study.plan import MEAN
-from amusic_gym.study.run import Row
+from amusic_gym.evaluation.audit import PARTING
+from amusic_gym.evaluation.plots.labels import policy_label
+from amusic_gym.evaluation.study import Findings
+from amusic_gym.evaluation.study.cells import FRONTS, IDLE
+from amusic_gym.evaluation.study.findings import ahead
+from amusic_gym.evaluation.study.plan import MEAN
+from amusic_gym.evaluation.study.run import Row
 
 
 def best_within(rows: Sequence[Row], compute: float) -> Row:

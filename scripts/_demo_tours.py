@@ -9,11 +9,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from amusic_gym.bank import ScoreBank
+from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.extraction import Cache, extract
-from amusic_gym.routes.rendered import Kind, render_folders
 from amusic_gym.routes.tours import Tour, make_tour
-from amusic_gym.storage import write_whole
+from amusic_gym.utils.storage import write_whole
+from amusic_gym.worlds import Kind, render_folders
 
 TECHNIQUES = ("hog", "calc", "netvlad", "cohog")
 TOLERANCE = 1

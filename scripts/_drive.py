@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from amusic_gym.live import LiveRoute
-from amusic_gym.navigation import Sighting
-from amusic_gym.pictures.sightings import Pictures
+from amusic_gym.envs.live_route import LiveRoute
+from amusic_gym.envs.pictures.sightings import Pictures
+from amusic_gym.envs.window import Window
+from amusic_gym.live.navigation import Sighting
 from amusic_gym.routes.video import VideoWriter
-from amusic_gym.window import Window
 
 DOUBT, SETTLED = 0.5, 20
 """p̂ of a doubtful frame, and frames after which many of them are worth a word."""

@@ -9,14 +9,14 @@ import numpy as np
 from amusic_baselines import make_policy
 from numpy.typing import NDArray
 
-from amusic_gym import metrics
-from amusic_gym.audit import audit, held, ranking
-from amusic_gym.bank import ScoreBank
-from amusic_gym.policy import Context
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.evaluation import metrics
+from amusic_gym.evaluation.audit import audit, held, ranking
+from amusic_gym.evaluation.study.tables import Table
+from amusic_gym.policies.protocol import Context
+from amusic_gym.policies.trace import Trace
 from amusic_gym.routes.retime import retime
-from amusic_gym.study.tables import Table
-from amusic_gym.trace import Trace
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 RATES = (0.1, 0.3, 0.6, 1.0)
 """With one of these chances, drawn for the whole drive, each technique runs on each frame."""

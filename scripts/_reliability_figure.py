@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from amusic_gym.plots.drawing import GREY, figure_at
+from amusic_gym.evaluation.plots.drawing import GREY, figure_at
 
 COLOURS = ("#0072B2", "#D55E00")
 MARKS = ("o", "s")

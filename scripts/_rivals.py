@@ -7,10 +7,10 @@ from pathlib import Path
 
 from _study_policies import Lineup
 
-from amusic_gym import study
-from amusic_gym.bank import ScoreBank
-from amusic_gym.comparison import COMPUTE_WEIGHTS
-from amusic_gym.study.tables import write_markdown
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.evaluation import study
+from amusic_gym.evaluation.comparison import COMPUTE_WEIGHTS
+from amusic_gym.evaluation.study.tables import write_markdown
 
 DRAWS = 5
 """Of every policy that draws."""

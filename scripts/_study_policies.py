@@ -9,13 +9,13 @@ from typing import Any
 
 from _contestants import contestants
 
-from amusic_gym.comparison import Contestant, all_subsets
-from amusic_gym.names import suggest
-from amusic_gym.plots.labels import is_idle
-from amusic_gym.policy import Context, Policy
-from amusic_gym.settings import STATISTICS
-from amusic_gym.study import Entrant
-from amusic_gym.study import cells as kinds
+from amusic_gym.estimation.settings import STATISTICS
+from amusic_gym.evaluation.comparison import Contestant, all_subsets
+from amusic_gym.evaluation.plots.labels import is_idle
+from amusic_gym.evaluation.study import Entrant
+from amusic_gym.evaluation.study import cells as kinds
+from amusic_gym.policies.protocol import Context, Policy
+from amusic_gym.utils.names import suggest
 
 FAMILIES = {
     "single": kinds.FIXED,

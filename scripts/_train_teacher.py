@@ -16,10 +16,10 @@ from amusic_agents.training import simulated_routes
 from amusic_baselines.cascade import Cascade
 from tqdm import tqdm
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.metrics import compute
-from amusic_gym.rollout import Job, rollouts
-from amusic_gym.storage import read_json, write_whole
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.evaluation.metrics import compute
+from amusic_gym.evaluation.rollout import Job, rollouts
+from amusic_gym.utils.storage import read_json, write_whole
 
 FILE = "teacher.json"
 PARTS = 12

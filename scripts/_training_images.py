@@ -15,9 +15,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 from tqdm import tqdm
 
-from amusic_gym.routes import rendered
-from amusic_gym.routes.rendered import CONDITIONS, KINDS, SPACING, World, render
-from amusic_gym.storage import write_whole
+from amusic_gym import worlds
+from amusic_gym.utils.storage import write_whole
+from amusic_gym.worlds import CONDITIONS, KINDS, SPACING, World, render
 
 DRIVES = 2
 """Drives through each world; another drive differs in its line, sway, light and parked cars."""
@@ -77,7 +77,7 @@ class Pool:
 def renderer_digest() -> str:
     """SHA-256 of the renderer's source files: other code may draw other images."""
     digest = hashlib.sha256()
-    folder = Path(rendered.__file__).parent
+    folder = Path(worlds.__file__).parent
     for path in sorted(folder.glob("*.py")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()

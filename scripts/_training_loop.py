@@ -19,7 +19,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from amusic_gym.storage import write_whole
+from amusic_gym.utils.storage import write_whole
 
 Settings = Mapping[str, Any]
 Draw = Callable[[np.random.Generator], Tensor]

@@ -13,7 +13,7 @@ from _cli import Parser, destination
 from _training_images import Pool, PoolSize, make_pool, renderer_digest
 from _training_validation import Describe, accuracy
 
-from amusic_gym.threads import one_thread
+from amusic_gym.utils.threads import one_thread
 
 HELD_OUT_SEED = 1_000_000
 """Added to the seed for the worlds of the validation."""

@@ -9,9 +9,9 @@ from _bank_images import add_images, add_render
 from _bank_tour import add_tour
 from _cli import Parser, number, pairs, run
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.bank_files import check_destination
-from amusic_gym.importers import from_arrays, from_vprbench
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.bank_files import check_destination
+from amusic_gym.banks.importers import from_arrays, from_vprbench
 
 
 def arrays(args: argparse.Namespace) -> None:

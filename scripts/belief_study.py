@@ -14,15 +14,15 @@ from functools import partial
 import numpy as np
 from _cli import Parser, destination, run
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.belief.fitting import Drive
-from amusic_gym.belief.rates import Rates, fitted
-from amusic_gym.escaping import for_markdown
-from amusic_gym.metrics import area, precision_recall
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.estimation.belief.fitting import Drive
+from amusic_gym.estimation.belief.rates import Rates, fitted
+from amusic_gym.evaluation.metrics import area, precision_recall
 from amusic_gym.routes.retime import retime
 from amusic_gym.routes.simulate import POPULATION
-from amusic_gym.storage import write_whole
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.utils.escaping import for_markdown
+from amusic_gym.utils.storage import write_whole
 
 WITHOUT = {
     "all of it": {},

@@ -90,10 +90,10 @@ from _bench_material import (  # noqa: E402
 )
 from _bench_start import measure_start  # noqa: E402
 
-from amusic_gym.env import TechniqueSelectionEnv  # noqa: E402
-from amusic_gym.settings import SICSettings  # noqa: E402
-from amusic_gym.storage import write_whole  # noqa: E402
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv  # noqa: E402
+from amusic_gym.envs.env import TechniqueSelectionEnv  # noqa: E402
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv  # noqa: E402
+from amusic_gym.estimation.settings import SICSettings  # noqa: E402
+from amusic_gym.utils.storage import write_whole  # noqa: E402
 
 BELIEF: dict[str, Any] = {"statistic": "belief", "carry": None, "discount": None}
 

@@ -1,4 +1,4 @@
-"""Fit p̂ on simulated routes and write ``amusic_gym/calibration.json``.
+"""Fit p̂ on simulated routes and write ``amusic_gym/estimation/calibration.json``.
 
 The routes are those of the statistic's own kind: steady drives through changing conditions for SIC,
 any motion for the belief.
@@ -17,8 +17,9 @@ from _cli import Parser, destination, run
 from numpy.typing import NDArray
 
 from amusic_gym import __version__
-from amusic_gym.bank import ScoreBank
-from amusic_gym.calibration import (
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.estimation.calibration import (
     FILE,
     UNCALIBRATED,
     belief_design,
@@ -28,10 +29,9 @@ from amusic_gym.calibration import (
     recent_design,
     stored,
 )
+from amusic_gym.estimation.settings import STATISTICS
 from amusic_gym.routes.simulate import population
-from amusic_gym.settings import STATISTICS
-from amusic_gym.storage import write_whole
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.utils.storage import write_whole
 
 RATES = (0.05, 0.1, 0.3, 0.6, 1.0)  # shares of the techniques that run on a frame
 SIC_INPUTS = ("confidence", "discount", "track", "recent", "heard", "support", "margin")
@@ -126,7 +126,7 @@ def main(arguments: list[str] | None = None) -> None:
         default=list(STATISTICS),
         help="of which; the others stay as they are (all)",
     )
-    default = Path(__file__).parent.parent / "amusic_gym" / FILE
+    default = Path(__file__).parent.parent / "amusic_gym" / "estimation" / FILE
     parser.add_argument("--out", type=destination, default=default, help="the package's file")
     given = parser.parse_args(arguments)
     command = f"python scripts/calibrate.py --routes {given.routes} --seed {given.seed}"

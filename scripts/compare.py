@@ -16,8 +16,9 @@ from functools import partial
 from _cli import Parser, add_correction, destination, insisted, run
 from _contestants import contestants
 
-from amusic_gym.bank import COST_MODELS, ScoreBank
-from amusic_gym.comparison import (
+from amusic_gym.banks.bank import COST_MODELS, ScoreBank
+from amusic_gym.estimation.settings import STATISTICS, SICSettings
+from amusic_gym.evaluation.comparison import (
     COMPUTE_WEIGHTS,
     MOST_TECHNIQUES,
     all_subsets,
@@ -26,7 +27,6 @@ from amusic_gym.comparison import (
     draw,
     table,
 )
-from amusic_gym.settings import STATISTICS, SICSettings
 
 
 def specs(args: argparse.Namespace, bank: ScoreBank) -> list[str]:

@@ -15,15 +15,15 @@ from _random_activity import held_against_truth, random_drives, tables
 from _reliability_figure import draw_reliability
 from amusic_baselines import make_policy
 
-from amusic_gym import plots
-from amusic_gym.bank import ScoreBank
-from amusic_gym.checks import whole
-from amusic_gym.correctness import assess, table
-from amusic_gym.policy import Context
-from amusic_gym.rollout import rollout
-from amusic_gym.settings import STATISTICS, SICSettings
-from amusic_gym.storage import write_whole
-from amusic_gym.trace import Trace
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.estimation.settings import STATISTICS, SICSettings
+from amusic_gym.evaluation import plots
+from amusic_gym.evaluation.correctness import assess, table
+from amusic_gym.evaluation.rollout import rollout
+from amusic_gym.policies.protocol import Context
+from amusic_gym.policies.trace import Trace
+from amusic_gym.utils.checks import whole
+from amusic_gym.utils.storage import write_whole
 
 
 def roll(bank: ScoreBank, statistic: str) -> list[Trace]:

@@ -22,12 +22,12 @@ from amusic_agents.policy_iteration import iterate_policy
 from amusic_agents.run_folder import CHECKPOINT
 from amusic_agents.selector import load_selector
 
-from amusic_gym.bank import COST_MODELS, ScoreBank
-from amusic_gym.comparison import all_subsets, compare, draw, table
-from amusic_gym.importers import from_recording
-from amusic_gym.metrics import mean_rows
-from amusic_gym.report import ReportFigure, write_report
-from amusic_gym.study import figures
+from amusic_gym.banks.bank import COST_MODELS, ScoreBank
+from amusic_gym.banks.importers import from_recording
+from amusic_gym.evaluation.comparison import all_subsets, compare, draw, table
+from amusic_gym.evaluation.metrics import mean_rows
+from amusic_gym.evaluation.report import ReportFigure, write_report
+from amusic_gym.evaluation.study import figures
 
 import _demo_story as story  # isort: skip
 import _demo_tours as rendered  # isort: skip

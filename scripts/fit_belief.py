@@ -1,4 +1,4 @@
-"""Fit the rates of the belief on simulated routes and write ``amusic_gym/belief/rates.json``.
+"""Fit the rates of the belief on simulated routes and write its ``rates.json``.
 
 CMA-ES (Hansen) looks for the rates under which the belief in the true places is highest, over
 routes of which most are re-timed and on which selectors of several kinds choose what runs. Run
@@ -16,10 +16,10 @@ import numpy as np
 from _cli import Parser, destination, run
 
 from amusic_gym import __version__
-from amusic_gym.belief.fitting import PLAIN, Drive, activity, from_unit, score, to_unit
-from amusic_gym.belief.rates import FILE, Rates, fitted
+from amusic_gym.estimation.belief.fitting import PLAIN, Drive, activity, from_unit, score, to_unit
+from amusic_gym.estimation.belief.rates import FILE, Rates, fitted
 from amusic_gym.routes.simulate import POPULATION
-from amusic_gym.storage import read_json, write_whole
+from amusic_gym.utils.storage import read_json, write_whole
 
 HELD_OUT_SEED = 1
 STEP = 0.12  # of the search at first, in parts of a rate's limits
@@ -78,7 +78,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=30, help="of the routes (30)")
     parser.add_argument("--threads", type=int, default=2, help="(2)")
     parser.add_argument("--start", type=Path, help="rates to begin with (plain ones)")
-    default = Path(__file__).parent.parent / "amusic_gym" / "belief" / FILE
+    default = Path(__file__).parent.parent / "amusic_gym" / "estimation" / "belief" / FILE
     parser.add_argument("--out", type=destination, default=default, help="the package's file")
     given = parser.parse_args(arguments)
     start = _stored(given.start) if given.start else PLAIN

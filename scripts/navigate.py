@@ -33,24 +33,24 @@ from _contestants import contestants
 from _drive import Journal, Screen, check_outputs
 from _folders import add_reading, map_of, run_of
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.checks import whole
-from amusic_gym.comparison import Contestant, check_weights
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.ground_truth import check_tolerance
+from amusic_gym.envs.live_route import FrameSource, ImageSequence, LiveRoute
+from amusic_gym.envs.pictures.sightings import Pictures
+from amusic_gym.envs.task import RENDER_FPS
+from amusic_gym.envs.window import Window
+from amusic_gym.estimation.settings import STATISTICS, SICSettings
+from amusic_gym.evaluation.comparison import Contestant, check_weights
+from amusic_gym.evaluation.plots.labels import policy_label
 from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.map import DescribedMap, describe_map
-from amusic_gym.ground_truth import check_tolerance
-from amusic_gym.live import FrameSource, ImageSequence, LiveRoute
-from amusic_gym.navigation import Sighting, TraceWriter, navigate
-from amusic_gym.pictures.sightings import Pictures
-from amusic_gym.plots.labels import policy_label
-from amusic_gym.policy import Context
+from amusic_gym.live.navigation import Sighting, TraceWriter, navigate
+from amusic_gym.policies.protocol import Context
 from amusic_gym.routes.folders import ImageFolder, check_apart
 from amusic_gym.routes.image_truth import from_file, warn_of_shared_files
 from amusic_gym.routes.video import Camera, VideoFile, VideoWriter
-from amusic_gym.settings import STATISTICS, SICSettings
-from amusic_gym.task import RENDER_FPS
 from amusic_gym.techniques import Technique, make_technique
-from amusic_gym.window import Window
+from amusic_gym.utils.checks import whole
 
 COMPUTE_WEIGHT = 0.3
 """λ of a trained selector where none is named: in the middle of what `compare.py` runs."""

@@ -17,12 +17,12 @@ from typing import Any
 from _cli import Parser, destination, pairs, run
 from _rivals import study_rivals
 
-from amusic_gym.bank import COST_MODELS, ScoreBank
+from amusic_gym.banks.bank import COST_MODELS, ScoreBank
+from amusic_gym.evaluation.study import figures
+from amusic_gym.evaluation.study.tables import tables
 from amusic_gym.extraction import extract
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.tours import make_tour
-from amusic_gym.study import figures
-from amusic_gym.study.tables import tables
 from amusic_gym.techniques import make_technique
 
 TECHNIQUES = ("hog", "calc", "netvlad")

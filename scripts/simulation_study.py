@@ -15,16 +15,16 @@ import numpy as np
 from _cli import Parser, destination, run
 from numpy.typing import NDArray
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.escaping import CsvWriter
-from amusic_gym.importers import from_recording
-from amusic_gym.plots.drawing import GREY, INK, figure_at
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.importers import from_recording
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.estimation.settings import STATISTICS
+from amusic_gym.evaluation.plots.drawing import GREY, INK, figure_at
 from amusic_gym.routes.motion import MOTIONS
 from amusic_gym.routes.simulate import Simulation
 from amusic_gym.routes.statistics import MEASURES, describe
-from amusic_gym.settings import STATISTICS
-from amusic_gym.storage import write_whole
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.utils.escaping import CsvWriter
+from amusic_gym.utils.storage import write_whole
 
 ROUTES, SEED = 60, 1000
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)

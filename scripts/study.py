@@ -16,13 +16,13 @@ from pathlib import Path
 from _cli import Parser, add_correction, destination, insisted, pairs, run
 from _study_policies import Lineup
 
-from amusic_gym import study
-from amusic_gym.bank import COST_MODELS, ScoreBank
-from amusic_gym.comparison import COMPUTE_WEIGHTS, MOST_TECHNIQUES, check_weights
+from amusic_gym.banks.bank import COST_MODELS, ScoreBank
+from amusic_gym.estimation.settings import STATISTICS, SICSettings
+from amusic_gym.evaluation import study
+from amusic_gym.evaluation.comparison import COMPUTE_WEIGHTS, MOST_TECHNIQUES, check_weights
+from amusic_gym.evaluation.study.figures import draw
+from amusic_gym.evaluation.study.tables import text, write_markdown
 from amusic_gym.extraction.executors import make_executor
-from amusic_gym.settings import STATISTICS, SICSettings
-from amusic_gym.study.figures import draw
-from amusic_gym.study.tables import text, write_markdown
 
 
 def _parser() -> Parser:

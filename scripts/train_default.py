@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from _cli import Parser, destination, run
 from amusic_agents.shipped import SHIPPED, shipped
 
-from amusic_gym.settings import SICSettings
+from amusic_gym.estimation.settings import SICSettings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -92,7 +92,7 @@ def ship(out: Path, folder: Path) -> None:
     """
     from amusic_agents.run_folder import SELECTOR, read_config, write_config
 
-    from amusic_gym.storage import write_whole
+    from amusic_gym.utils.storage import write_whole
 
     if not is_same(out, folder):
         _refuse_worse(out, folder)

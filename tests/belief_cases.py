@@ -10,11 +10,11 @@ from unittest import mock
 import numpy as np
 import oracle_belief
 
-from amusic_gym import belief
-from amusic_gym.bank import ScoreBank
-from amusic_gym.belief import Rates
-from amusic_gym.calibration import coefficients
-from amusic_gym.env import TechniqueSelectionEnv
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.estimation import belief
+from amusic_gym.estimation.belief import Rates
+from amusic_gym.estimation.calibration import coefficients
 
 CLOSE = 1e-6
 

@@ -9,7 +9,7 @@ import golden
 import pytest
 from env_cases import random_bank
 
-from amusic_gym.bank import ScoreBank
+from amusic_gym.banks.bank import ScoreBank
 
 # A suite that a shell runs in the background ignores Ctrl-C, and so would the programs it tests.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -10,9 +10,9 @@ import gymnasium as gym
 import numpy as np
 
 import amusic_gym
-from amusic_gym.bank import ScoreBank
-from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
 ENV_NAME = "amusic_gym:amusic_gym/TechniqueSelection-v0"
 REGISTERED = [name for name in gym.registry if name.startswith("amusic_gym/")]

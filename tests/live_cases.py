@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.bank import ScoreBank
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.extraction.blocks import BLOCK, describe_one
 from amusic_gym.extraction.map import DescribedMap
-from amusic_gym.live import LiveRoute
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
 
 NAMES = ("HOG", "CALC", "CoHOG")

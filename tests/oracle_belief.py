@@ -18,7 +18,7 @@ import numpy as np
 import oracle
 from numpy.typing import NDArray
 
-from amusic_gym.belief import Rates
+from amusic_gym.estimation.belief import Rates
 
 Floats = NDArray[np.float64]
 Row = Any  # (R,) scores, or None: the technique did not run

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import oracle
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.calibration import coefficients
-from amusic_gym.settings import SICSettings
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.estimation.calibration import coefficients
+from amusic_gym.estimation.settings import SICSettings
 
 CLOSE = {"rtol": 1e-9, "atol": 1e-9}
 

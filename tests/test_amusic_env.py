@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from selection_cases import CLOSE, assert_details, assert_route, follow
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.rollout import Job, rollout, rollouts
-from amusic_gym.settings import STATISTICS, SICSettings
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.estimation.settings import STATISTICS, SICSettings
+from amusic_gym.evaluation.rollout import Job, rollout, rollouts
 
 techniques = st.integers(1, 16)
 blocks = st.integers(1, 7)

@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amusic_gym.bank import PAPER_SECONDS, GroundTruth, ScoreBank
-from amusic_gym.importers import from_arrays, from_vprbench
-from amusic_gym.names import suggest
+from amusic_gym.banks.bank import PAPER_SECONDS, GroundTruth, ScoreBank
+from amusic_gym.banks.importers import from_arrays, from_vprbench
+from amusic_gym.utils.names import suggest
 
 PAPER = ("HOG", "CALC", "CoHOG", "NetVLAD")
 

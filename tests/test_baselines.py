@@ -14,14 +14,14 @@ from amusic_baselines.uniform import Uniform
 from env_cases import random_bank
 from test_rollout import assert_same
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.metrics import summarise
-from amusic_gym.policy import Context, Selector
-from amusic_gym.rollout import Job, rollout, rollouts
-from amusic_gym.settings import STATISTICS, SICSettings
-from amusic_gym.trace import Trace
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.estimation.settings import STATISTICS, SICSettings
+from amusic_gym.evaluation.metrics import summarise
+from amusic_gym.evaluation.rollout import Job, rollout, rollouts
+from amusic_gym.policies.protocol import Context, Selector
+from amusic_gym.policies.trace import Trace
 
 ARGUMENTS = {
     "raw": ["T1"],

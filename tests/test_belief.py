@@ -20,9 +20,9 @@ from env_cases import infos_of, noisy_bank, random_bank
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amusic_gym import belief
-from amusic_gym.bank import ScoreBank
-from amusic_gym.env import TechniqueSelectionEnv
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.estimation import belief
 from amusic_gym.routes.retime import retime
 
 seeds = st.integers(0, 2**32)

@@ -15,10 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_cases import NAMES, Stream, bank_of, live_of, maps_of, pair, traverse
 
-from amusic_gym import belief
-from amusic_gym.bank import ScoreBank
-from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.estimation import belief
 
 cached_pair = cache(pair)
 BELIEF = {"statistic": "belief", "allow_idle": True}

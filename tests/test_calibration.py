@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from env_cases import random_actions, random_bank
 
-from amusic_gym import calibration
-from amusic_gym.bank import ScoreBank
-from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.settings import STATISTICS
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.estimation import calibration
+from amusic_gym.estimation.settings import STATISTICS
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 

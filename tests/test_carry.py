@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 from live_cases import NAMES, Stream, bank_of, live_of, maps_of, pair, traverse
 from selection_cases import assert_details, assert_route, follow
 
-from amusic_gym import episode, live_rows
-from amusic_gym import sic as kernels
-from amusic_gym.bank import ScoreBank
-from amusic_gym.dynamics import IDLE_DECAY
-from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.settings import SICSettings
-from amusic_gym.sic import SIC
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs import episode, live_rows
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.estimation import sic as kernels
+from amusic_gym.estimation.dynamics import IDLE_DECAY
+from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.estimation.sic import SIC
 
 TWINS = [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))]
 

@@ -13,10 +13,11 @@ from amusic_baselines import make_policy
 from env_cases import random_bank
 from test_rollout import Cycle, assert_same
 
-from amusic_gym import comparison_files
-from amusic_gym.audit import audit
-from amusic_gym.bank import ScoreBank
-from amusic_gym.comparison import (
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.evaluation import comparison_files
+from amusic_gym.evaluation.audit import audit
+from amusic_gym.evaluation.comparison import (
     Comparison,
     Contestant,
     all_subsets,
@@ -28,11 +29,10 @@ from amusic_gym.comparison import (
     partings,
     table,
 )
-from amusic_gym.metrics import summarise
-from amusic_gym.policy import Context
-from amusic_gym.rollout import rollout
-from amusic_gym.settings import SICSettings
-from amusic_gym.trace import Trace
+from amusic_gym.evaluation.metrics import summarise
+from amusic_gym.evaluation.rollout import rollout
+from amusic_gym.policies.protocol import Context
+from amusic_gym.policies.trace import Trace
 
 ROW_KEYS = [
     "bank",
@@ -236,7 +236,7 @@ def test_25_whatever_may_change_a_row_makes_it_run_again(tmp_path, monkeypatch, 
     if "code" in change:
         monkeypatch.setattr(comparison_files, "code_digest", lambda package: "changed")
     if "release" in change:
-        monkeypatch.setattr("amusic_gym.comparison.__version__", "9.9")
+        monkeypatch.setattr("amusic_gym.evaluation.comparison.__version__", "9.9")
     lineup = Lineup("random:0.5", version=change.get("version", ""))
     options = {key: change[key] for key in change.keys() & SETTINGS}
     compare(change.get("banks", [bank]), lineup, tmp_path, report=len, **options)

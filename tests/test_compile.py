@@ -11,10 +11,12 @@ import pytest
 from numba.core import caching
 from numba.core.dispatcher import Dispatcher
 
-from amusic_gym import _compile, dynamics, imports, selection
-from amusic_gym.belief import filter as belief_filter
-from amusic_gym.imports import PACKAGE, digest_of, source_files
+from amusic_gym.estimation import dynamics, selection
+from amusic_gym.estimation.belief import filter as belief_filter
+from amusic_gym.kernels import compiling as _compile
 from amusic_gym.techniques import _cohog_description, _cohog_kernel
+from amusic_gym.utils import imports
+from amusic_gym.utils.imports import PACKAGE, digest_of, source_files
 
 KERNELS = [
     dynamics.step_routes,
@@ -69,7 +71,7 @@ def test_53_a_kernel_is_stale_when_any_file_of_its_code_changes(kernel, tmp_path
 
 
 def test_53_constants_of_the_observation_are_part_of_a_step():
-    assert PACKAGE / "observation.py" in source_files(Path(dynamics.__file__), lazily=False)
+    assert PACKAGE / "estimation" / "observation.py" in source_files(Path(dynamics.__file__), lazily=False)
 
 
 def test_imports_count_wherever_they_stand_but_for_type_checkers():

@@ -195,7 +195,7 @@ def test_other_images_seeds_and_frames_are_refused(image, seed, frame, sentence)
 
 
 def test_the_sheet_of_the_docs_shows_every_condition(tmp_path):
-    command = ["-m", "amusic_gym.routes.rendered", "--on-images", "--out", tmp_path / "sheet.jpg"]
+    command = ["-m", "amusic_gym.worlds", "--on-images", "--out", tmp_path / "sheet.jpg"]
     subprocess.run([sys.executable, *map(str, command)], cwd=ROOT, check=True, timeout=120)
     drawn = cv2.imread(str(tmp_path / "sheet.jpg"))
     assert drawn.shape[0] == 120 * len(CONDITIONS)

@@ -13,16 +13,16 @@ import pytest
 from amusic_baselines import make_policy
 from env_cases import random_bank
 
-from amusic_gym.audit import Ranking, audit, held, ranking
-from amusic_gym.bank import ScoreBank
-from amusic_gym.correctness import MEASURES, assess, table
-from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.plots.drawing import figure_at
-from amusic_gym.policy import Context
-from amusic_gym.rollout import rollout
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.estimation.settings import STATISTICS
+from amusic_gym.evaluation.audit import Ranking, audit, held, ranking
+from amusic_gym.evaluation.correctness import MEASURES, assess, table
+from amusic_gym.evaluation.plots.drawing import figure_at
+from amusic_gym.evaluation.rollout import rollout
+from amusic_gym.policies.protocol import Context
+from amusic_gym.policies.trace import Trace
 from amusic_gym.routes.retime import retime
-from amusic_gym.settings import STATISTICS
-from amusic_gym.trace import Trace
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from amusic_baselines import make_policy
 
-from amusic_gym import correctness
-from amusic_gym.bank import ScoreBank
-from amusic_gym.metrics import summarise
-from amusic_gym.policy import Context
-from amusic_gym.rollout import rollout
-from amusic_gym.trace import Trace
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.evaluation import correctness
+from amusic_gym.evaluation.metrics import summarise
+from amusic_gym.evaluation.rollout import rollout
+from amusic_gym.policies.protocol import Context
+from amusic_gym.policies.trace import Trace
 
 
 def load(names: tuple[str, ...] = corridor.TECHNIQUES) -> ScoreBank:

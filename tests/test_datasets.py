@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_images import encoded, picture
 
-from amusic_gym.bank import ScoreBank
+from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.routes import datasets
 from amusic_gym.routes.datasets import DATASETS, Dataset, load_dataset
 

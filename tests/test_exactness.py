@@ -7,10 +7,10 @@ import pytest
 from env_cases import noisy_bank
 from selection_cases import assert_details, assert_route, follow
 
-from amusic_gym import sic
-from amusic_gym.bank import ScoreBank
-from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.settings import SICSettings
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.estimation import sic
+from amusic_gym.estimation.settings import SICSettings
 
 FRAMES = 10_000
 QUERIES, PLACES, WIDTH = 40, 16, 3

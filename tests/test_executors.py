@@ -15,10 +15,10 @@ import pytest
 import threadpoolctl
 from extraction_cases import Shard, Tiny, UnpicklableError
 
-from amusic_gym import threads
 from amusic_gym.extraction.executors import Serial, make_executor
 from amusic_gym.extraction.processes import Processes
-from amusic_gym.threads import alone, one_thread
+from amusic_gym.utils import threads
+from amusic_gym.utils.threads import alone, one_thread
 
 ROOT = Path(__file__).resolve().parent.parent
 

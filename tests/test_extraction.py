@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 from extraction_cases import Raising, Tiny, TwoSided, make_images
 
-from amusic_gym.bank import ScoreBank
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.extraction import BLOCK, Cache, DescribedMap, describe_map, extract
 from amusic_gym.extraction import seconds as seconds_module
 from amusic_gym.extraction.describe import Plan, images_of
 from amusic_gym.extraction.executors import make_executor
 from amusic_gym.extraction.seconds import Cost, cost_of, measure_cost
 from amusic_gym.extraction.shards import DescribeShard, MatchShard
-from amusic_gym.ground_truth import GroundTruth
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.techniques import Technique
 

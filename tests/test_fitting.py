@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amusic_gym.belief import Rates, fitted
-from amusic_gym.belief.fitting import (
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.estimation.belief import Rates, fitted
+from amusic_gym.estimation.belief.fitting import (
     SEARCHED,
     Drive,
     activity,
@@ -21,7 +22,6 @@ from amusic_gym.belief.fitting import (
     to_unit,
 )
 from amusic_gym.routes.simulate import planted, simulate
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 ROOT = Path(__file__).resolve().parent.parent
 

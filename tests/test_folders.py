@@ -14,9 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_images import encoded, picture
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.ground_truth import GroundTruth
-from amusic_gym.importers import from_vprbench
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.ground_truth import GroundTruth
+from amusic_gym.banks.importers import from_vprbench
 from amusic_gym.routes import image_truth
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.numbering import arranged, gaps, natural_key, same_numbers

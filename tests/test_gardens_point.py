@@ -13,13 +13,13 @@ import pytest
 import sklearn.metrics
 from amusic_baselines import make_policy
 
-from amusic_gym import metrics
-from amusic_gym.bank import ScoreBank
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.evaluation import metrics
+from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.extraction import extract
-from amusic_gym.policy import Context
-from amusic_gym.rollout import rollout
+from amusic_gym.policies.protocol import Context
+from amusic_gym.policies.trace import Trace
 from amusic_gym.techniques import make_technique
-from amusic_gym.trace import Trace
 
 FIGURES = {  # policy -> the area to three digits; the paper has it to two
     "raw:HOG": 0.028,

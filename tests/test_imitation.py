@@ -34,12 +34,12 @@ from env_cases import random_bank
 from safetensors.torch import load_file
 from small_training import SCRIPTS, SMALL, contents, stop_at
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.metrics import compute
-from amusic_gym.policy import Needs
-from amusic_gym.rollout import Job, rollout
-from amusic_gym.settings import SICSettings
-from amusic_gym.sources import Banks, SimulatedRoutes
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.sources import Banks, SimulatedRoutes
+from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.evaluation.metrics import compute
+from amusic_gym.evaluation.rollout import Job, rollout
+from amusic_gym.policies.protocol import Needs
 
 STATISTIC = SICSettings.statistic
 WEIGHTS = (0.1, 1.0)

@@ -25,32 +25,11 @@ ALLOWED = {
 }
 FOLDERS = {"amusic_baselines": "baselines", "amusic_agents": "agents"}
 
-# Inside amusic_gym: what a part must not use, because that part is built on it.
-ROLLOUT = {"rollout", "comparison", "navigation"}
-ENVS = {"env", "vector_env"} | ROLLOUT
-EPISODES = {"episode", "task", "dynamics"} | ENVS
-FORBIDDEN = {
-    "bank": EPISODES,
-    "sic": EPISODES | {"bank"},
-    "trace": EPISODES,
-    "metrics": EPISODES,
-    "routes": EPISODES,
-    "techniques": EPISODES,
-    "extraction": EPISODES,
-    "threads": EPISODES | {"bank"},
-    "pictures": EPISODES,
-    "window": EPISODES,
-    "live": EPISODES | {"sources"},
-    "live_rows": EPISODES | {"sources"},
-    "navigation": ROLLOUT - {"navigation"},
-    "dynamics": {"episode", "task"} | ENVS,
-    "observation": {"episode", "task", "dynamics"} | ENVS,
-    "episode": {"task"} | ENVS,
-    "task": ENVS,
-    "env": {"vector_env"} | ROLLOUT,
-    "vector_env": {"env"} | ROLLOUT,
-    "policy": EPISODES,
-}
+# Inside amusic_gym: the rooms, each built on those before it only.
+ROOMS = (
+    *("utils", "kernels", "techniques", "banks", "routes", "worlds", "extraction", "estimation"),
+    *("policies", "envs", "live", "evaluation"),
+)
 
 
 def loaded_after(code: str) -> set[str]:
@@ -109,7 +88,9 @@ def test_an_episode_needs_numba_but_nothing_else_heavy():
 
 
 def test_policies_that_are_not_learned_need_no_network():
-    loaded = loaded_after("import amusic_baselines, amusic_gym.rollout, amusic_gym.metrics")
+    loaded = loaded_after(
+        "import amusic_baselines, amusic_gym.evaluation.rollout, amusic_gym.evaluation.metrics"
+    )
     assert not loaded.intersection(set(HEAVY) - {"numba"})
 
 
@@ -124,17 +105,22 @@ def test_packages_import_one_way(package):
     assert not wrong
 
 
-@pytest.mark.parametrize("part", FORBIDDEN)
-def test_parts_import_one_way(part):
-    folder = ROOT / "amusic_gym"
-    sources = [folder / f"{part}.py"] if (folder / f"{part}.py").is_file() else files(folder / part)
+@pytest.mark.parametrize("room", ROOMS)
+def test_rooms_import_one_way(room):
+    later = ROOMS[ROOMS.index(room) + 1 :]
     wrong = []
-    for file in sources:
+    for file in files(ROOT / "amusic_gym" / room):
         for name in imports(file.read_text(encoding="utf-8")):
             pieces = name.split(".")
-            if pieces[0] == "amusic_gym" and FORBIDDEN[part].intersection(pieces[1:2]):
+            if pieces[0] == "amusic_gym" and pieces[1] in later:
                 wrong.append(f"{file.relative_to(ROOT)} imports {name}")
     assert not wrong
+
+
+def test_every_module_stands_in_a_room():
+    inside = (ROOT / "amusic_gym").rglob("*.py")
+    rooms = {file.relative_to(ROOT / "amusic_gym").parts[0] for file in inside}
+    assert rooms == {"__init__.py", *ROOMS}
 
 
 def test_no_module_imports_what_imports_it():
@@ -162,7 +148,7 @@ if TYPE_CHECKING:
 else:
     import scipy
 def later():
-    from amusic_gym import env
+    from amusic_gym.envs import env
     class Inner:
         import amusic_baselines.amusic
 """
@@ -170,6 +156,6 @@ def later():
         "__future__.annotations",
         "torch.nn",
         "scipy",
-        "amusic_gym.env",
+        "amusic_gym.envs.env",
         "amusic_baselines.amusic",
     }

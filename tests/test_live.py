@@ -31,11 +31,11 @@ from live_cases import (
     traverse,
 )
 
-from amusic_gym.bank import PAPER_SECONDS
-from amusic_gym.belief.memory import REACH
-from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.live import ImageSequence, LiveRoute, as_frames
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.banks.bank import PAPER_SECONDS
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.envs.live_route import ImageSequence, LiveRoute, as_frames
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.estimation.belief.memory import REACH
 
 cached_pair = cache(pair)
 

@@ -17,12 +17,12 @@ from env_cases import random_bank
 from small_training import SCRIPTS, SMALL
 from test_study import EVERYBODY, learned, plan_of
 
-from amusic_gym import study
-from amusic_gym.comparison import compare, table
-from amusic_gym.marks import footnote, marked
-from amusic_gym.report import write_report
-from amusic_gym.study.figures import _styles
-from amusic_gym.study.tables import Table, tables
+from amusic_gym.evaluation import study
+from amusic_gym.evaluation.comparison import compare, table
+from amusic_gym.evaluation.marks import footnote, marked
+from amusic_gym.evaluation.report import write_report
+from amusic_gym.evaluation.study.figures import _styles
+from amusic_gym.evaluation.study.tables import Table, tables
 
 if str(SCRIPTS) not in sys.path:
     sys.path.insert(0, str(SCRIPTS))

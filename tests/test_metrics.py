@@ -14,9 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from amusic_gym import metrics
-from amusic_gym.bank import ScoreBank
-from amusic_gym.trace import Trace
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.evaluation import metrics
+from amusic_gym.policies.trace import Trace
 
 ROW_KEYS = [
     "bank",

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from amusic_baselines import make_policy
 
+from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.extraction import extract
-from amusic_gym.rollout import rollout
 from amusic_gym.routes.video import VideoFile, VideoWriter
 from amusic_gym.techniques import Technique
 
@@ -155,7 +155,7 @@ def test_the_trace_is_that_of_a_bank_of_the_same_images(navigate, world, tmp_pat
         world / "map", world / "run", ["hog", COUNTING], tolerance=2, seconds=seconds,
         ground_truth=np.arange(8), cache=world / "cache",
     )  # fmt: skip
-    from amusic_gym.policy import Context
+    from amusic_gym.policies.protocol import Context
 
     made = make_policy(policy, Context.of(bank, statistic="evidence", seed=3))
     expected = rollout(made, bank, name=policy)
@@ -301,7 +301,7 @@ def test_the_video_holds_a_picture_of_every_frame(navigate, world, tmp_path, suf
 def test_the_window_shows_the_drive_and_closing_it_ends_it(navigate, monkeypatch):
     pygame = pytest.importorskip("pygame")
     shown = []
-    window = importlib.import_module("amusic_gym.window")
+    window = importlib.import_module("amusic_gym.envs.window")
     show = window.Window.show
 
     def close_at_third(self, picture) -> None:

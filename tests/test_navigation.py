@@ -13,10 +13,10 @@ import pytest
 from amusic_baselines import POLICIES, make_policy
 from live_cases import NAMES, CountingMap, Stream, bank_of, live_of, maps_of, pair, traverse
 
-from amusic_gym.navigation import Sighting, TraceWriter, navigate
-from amusic_gym.policy import Context, Localiser
-from amusic_gym.rollout import Job, rollout, rollouts
-from amusic_gym.trace import CSV_COLUMNS, Trace
+from amusic_gym.evaluation.rollout import Job, rollout, rollouts
+from amusic_gym.live.navigation import Sighting, TraceWriter, navigate
+from amusic_gym.policies.protocol import Context, Localiser
+from amusic_gym.policies.trace import CSV_COLUMNS, Trace
 
 ARGUMENTS = {
     "raw": ["CALC"],

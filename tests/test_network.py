@@ -15,9 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from amusic_gym.rollout import rollout
-from amusic_gym.sources import Banks
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.envs.sources import Banks
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.evaluation.rollout import rollout
 
 NUMBERS = st.floats(-1.0, 1.0, width=32)
 BATCH = 3

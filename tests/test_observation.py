@@ -11,16 +11,16 @@ import oracle
 import pytest
 from env_cases import assert_same, play, random_actions
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.observation import (
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.estimation.observation import (
     ROUTE_FEATURES,
     SMOOTHING,
     TECHNIQUE_FEATURES,
     observation_names,
     observation_size,
 )
-from amusic_gym.settings import STATISTICS
+from amusic_gym.estimation.settings import STATISTICS
 
 
 def documented(heading: str) -> list[str]:

@@ -28,10 +28,10 @@ from env_cases import noisy_bank, random_bank
 from live_cases import pair
 from test_rollout import assert_same
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.metrics import summarise
-from amusic_gym.policy import Context, Localiser
-from amusic_gym.rollout import rollout
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.evaluation.metrics import summarise
+from amusic_gym.evaluation.rollout import rollout
+from amusic_gym.policies.protocol import Context, Localiser
 
 SPECS = [
     *("raw:T1", "single:T0", "subset:T0+T2", "music", "amusic", "amusic:evidence", "random:0.5"),

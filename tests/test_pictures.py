@@ -8,11 +8,19 @@ import time
 import numpy as np
 import pytest
 
-from amusic_gym.pictures import Scene, Trail, layout, route
-from amusic_gym.pictures.canvas import INK, PAPER, Box, Canvas, fitted, plain, text_width
-from amusic_gym.pictures.layout import BAR, GAUGES, LEFT_PANEL, RIGHT_PANEL, TECHNIQUES, draw, tile
-from amusic_gym.pictures.substitutes import peaks
-from amusic_gym.plots.labels import CORRECT_COLOUR, WRONG_COLOUR, technique_colours
+from amusic_gym.envs.pictures import Scene, Trail, layout, route
+from amusic_gym.envs.pictures.canvas import INK, PAPER, Box, Canvas, fitted, plain, text_width
+from amusic_gym.envs.pictures.layout import (
+    BAR,
+    GAUGES,
+    LEFT_PANEL,
+    RIGHT_PANEL,
+    TECHNIQUES,
+    draw,
+    tile,
+)
+from amusic_gym.envs.pictures.substitutes import peaks
+from amusic_gym.utils.colours import CORRECT_COLOUR, WRONG_COLOUR, technique_colours
 
 NAMES = ("HOG", "CoHOG", "CALC", "NetVLAD")
 

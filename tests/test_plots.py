@@ -17,12 +17,13 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from amusic_gym import metrics, plots
-from amusic_gym.bank import ScoreBank
-from amusic_gym.plots import drawing as drawing_module
-from amusic_gym.plots import labels, tradeoff
-from amusic_gym.report import ReportFigure, write_report
-from amusic_gym.trace import Trace
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.evaluation import metrics, plots
+from amusic_gym.evaluation.plots import drawing as drawing_module
+from amusic_gym.evaluation.plots import labels, tradeoff
+from amusic_gym.evaluation.report import ReportFigure, write_report
+from amusic_gym.policies.trace import Trace
+from amusic_gym.utils import colours
 
 NAMES = ("HOG", "CALC", "CoHOG", "$odd_name$")
 
@@ -101,7 +102,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
             yield figure
 
     for module in ("curves", "route", "tradeoff"):
-        monkeypatch.setattr(f"amusic_gym.plots.{module}.figure_at", keeping)
+        monkeypatch.setattr(f"amusic_gym.evaluation.plots.{module}.figure_at", keeping)
     return kept
 
 
@@ -212,15 +213,15 @@ def test_shares_add_up_to_one_in_the_techniques_colours(
     assert widths[0] == pytest.approx((trace.chosen == 0).mean())
     assert widths[-1] == pytest.approx(3 / 60)
     colour = matplotlib.colors.to_hex(bars[0].patches[0].get_facecolor())
-    assert colour.upper() == labels.technique_colours(NAMES)["HOG"]
+    assert colour.upper() == colours.technique_colours(NAMES)["HOG"]
 
 
 def test_colours_are_steady_and_distinct() -> None:
-    assert labels.technique_colours(["CALC"])["CALC"] == labels.technique_colours(NAMES)["CALC"]
-    many = labels.technique_colours([f"T{i}" for i in range(16)])
+    assert colours.technique_colours(["CALC"])["CALC"] == colours.technique_colours(NAMES)["CALC"]
+    many = colours.technique_colours([f"T{i}" for i in range(16)])
     assert len(set(many.values())) == 16
     policies = {labels.policy_mark(policy)[0] for policy in labels.POLICY_MARKS}
-    assert not (policies | set(labels.SWEEP_COLOURS)) & set(labels.TECHNIQUE_COLOURS)
+    assert not (policies | set(labels.SWEEP_COLOURS)) & set(colours.TECHNIQUE_COLOURS)
 
 
 @pytest.mark.parametrize(

@@ -46,14 +46,14 @@ from live_cases import pair
 from safetensors.torch import load_file
 from small_training import SCRIPTS, SMALL, contents, stop_at
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.observation import TECHNIQUE_FEATURES
-from amusic_gym.records import Outcome
-from amusic_gym.rollout import Job, rollout
-from amusic_gym.settings import SICSettings
-from amusic_gym.sources import Banks, SimulatedRoutes
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.envs.sources import Banks, SimulatedRoutes
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.estimation.observation import TECHNIQUE_FEATURES
+from amusic_gym.estimation.records import Outcome
+from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.evaluation.rollout import Job, rollout
 
 STATISTIC = SICSettings.statistic
 TRUST = TECHNIQUE_FEATURES.index("trust")

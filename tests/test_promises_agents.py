@@ -30,9 +30,9 @@ from env_cases import random_bank
 from safetensors.torch import load_file, save_file
 from small_training import SCRIPTS, SMALL, train_script
 
-from amusic_gym.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
-from amusic_gym.rollout import rollout
-from amusic_gym.settings import SICSettings
+from amusic_gym.estimation.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
+from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.evaluation.rollout import rollout
 
 INPUTS = len(TECHNIQUE_FEATURES) + len(ROUTE_FEATURES)  # of the network's first layer
 PICKLE_STARTS = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05", b"PK\x03\x04")

@@ -18,9 +18,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amusic_gym import bank_files, importers, storage
-from amusic_gym.bank import GroundTruth, ScoreBank
-from amusic_gym.importers import from_arrays, from_vprbench
+from amusic_gym.banks import bank_files, importers
+from amusic_gym.banks.bank import GroundTruth, ScoreBank
+from amusic_gym.banks.importers import from_arrays, from_vprbench
+from amusic_gym.utils import storage
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -377,8 +378,8 @@ KILLED_AT_EVERY_CALL = """
 import contextlib, json, os, shutil, signal, sys
 from pathlib import Path
 import numpy as np
-from amusic_gym import storage
-from amusic_gym.bank import ScoreBank
+from amusic_gym.utils import storage
+from amusic_gym.banks.bank import ScoreBank
 
 folder, swap = Path(sys.argv[1]), sys.argv[2] == "swap"
 if not swap:
@@ -436,7 +437,7 @@ def test_27_sigkill_at_any_call_leaves_a_whole_bank_and_the_next_writer_sweeps(t
 FULL_DISK = """
 import resource, sys
 import numpy as np
-from amusic_gym.bank import ScoreBank
+from amusic_gym.banks.bank import ScoreBank
 bank = ScoreBank(np.ones((2, 100, 100)), ["A", "B"], [1, 1], tolerance=1)
 resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))  # scores.npy needs 80,128
 try:
@@ -485,8 +486,8 @@ TWO_WRITERS = """
 import os, sys
 from pathlib import Path
 import numpy as np
-from amusic_gym import storage
-from amusic_gym.bank import ScoreBank
+from amusic_gym.utils import storage
+from amusic_gym.banks.bank import ScoreBank
 
 path = Path(sys.argv[1])
 for name in "ab":

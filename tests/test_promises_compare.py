@@ -15,7 +15,7 @@ from typing import NamedTuple
 import pytest
 from env_cases import random_bank
 
-from amusic_gym.settings import SICSettings
+from amusic_gym.estimation.settings import SICSettings
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -30,9 +30,9 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
 TESTS = Path(__file__).resolve().parent
 

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from extraction_cases import Signalling, Tiny, TwoSided, make_images
 
-from amusic_gym.bank import ScoreBank
+from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.extraction import BLOCK, Cache, code, describe_map, extract
 from amusic_gym.extraction.blocks import Images
 from amusic_gym.extraction.describe import Plan

@@ -31,12 +31,13 @@ from test_imitation import Quick
 from test_imitation import small as small_ppo
 from test_policy_iteration import small as small_rollouts
 
-from amusic_gym import comparison_files, plots, storage
-from amusic_gym.comparison import compare, draw
+from amusic_gym.evaluation import comparison_files, plots
+from amusic_gym.evaluation.comparison import compare, draw
+from amusic_gym.evaluation.study import store
+from amusic_gym.evaluation.study.cells import MEASURED
 from amusic_gym.extraction.code import key_of
 from amusic_gym.routes.video import VideoWriter
-from amusic_gym.study import store
-from amusic_gym.study.cells import MEASURED
+from amusic_gym.utils import storage
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 

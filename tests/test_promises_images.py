@@ -17,7 +17,7 @@ from PIL import Image as Pillow
 from PIL import ImageOps
 from test_images import FILES, encoded, picture, pillow
 
-from amusic_gym.bank import ScoreBank
+from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.routes import image_truth
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.images import MAX_PIXELS, decode_image, read_image

@@ -17,11 +17,11 @@ from gymnasium.vector import AsyncVectorEnv
 from live_cases import Broken, Columns, live_of, map_of, maps_of, traverse
 from test_navigation import make
 
-from amusic_gym.env import TechniqueSelectionEnv
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.extraction.blocks import BLOCK
 from amusic_gym.extraction.map import DescribedMap
-from amusic_gym.navigation import navigate
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.live.navigation import navigate
 
 CHILD = """
 import pickle, sys

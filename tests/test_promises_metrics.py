@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amusic_gym import metrics
-from amusic_gym.bank import ScoreBank
-from amusic_gym.trace import Trace
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.evaluation import metrics
+from amusic_gym.policies.trace import Trace
 
 
 def trace_on(ground_truth: list[int], predictions: list[int]) -> Trace:

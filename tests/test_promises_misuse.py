@@ -20,12 +20,12 @@ from env_cases import (
 )
 from gymnasium.error import ResetNeeded
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.policy import Context
-from amusic_gym.settings import STATISTICS
-from amusic_gym.sic import SIC
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.estimation.settings import STATISTICS
+from amusic_gym.estimation.sic import SIC
+from amusic_gym.policies.protocol import Context
 
 # ---- 6 -----------------------------------------------------------------------------------
 

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.metrics import summarise
-from amusic_gym.policy import Context
-from amusic_gym.rollout import rollout
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.evaluation.metrics import summarise
+from amusic_gym.evaluation.rollout import rollout
+from amusic_gym.policies.protocol import Context
 
 corrections = st.integers(2, 30).flatmap(
     lambda n: arrays(np.float64, (2, n), elements=st.floats(-50, 50, width=32))

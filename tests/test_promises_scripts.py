@@ -18,12 +18,12 @@ from amusic_agents.config import MOST_ROUTES, TrainingConfig
 from amusic_baselines import make_policy
 from live_cases import TOLERANCE, Columns, live_of, map_of, maps_of, traverse
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.ground_truth import LARGEST_TOLERANCE
-from amusic_gym.live import LiveRoute
-from amusic_gym.navigation import navigate
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.ground_truth import LARGEST_TOLERANCE
+from amusic_gym.envs.live_route import LiveRoute
+from amusic_gym.envs.window import Window
+from amusic_gym.live.navigation import navigate
 from amusic_gym.routes.video import Camera, VideoWriter
-from amusic_gym.window import Window
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 
@@ -217,7 +217,7 @@ def test_a_technique_that_draws_on_its_image_spoils_nothing():
 
 
 def _context(route: LiveRoute):
-    from amusic_gym.policy import Context
+    from amusic_gym.policies.protocol import Context
 
     return Context.of(route, statistic="evidence")
 

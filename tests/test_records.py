@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from amusic_gym.records import KEPT, RESULT, Outcome, OutcomeShape
+from amusic_gym.estimation.records import KEPT, RESULT, Outcome, OutcomeShape
 
 
 def filled(shape: OutcomeShape, seed: int) -> Outcome:

@@ -18,15 +18,15 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecVideoRecorder
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.env import TechniqueSelectionEnv
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.envs.live_route import LiveRoute
+from amusic_gym.envs.pictures import layout
+from amusic_gym.envs.pictures.viewer import MOST_SHOWN, PICTURE_MODES
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.envs.window import Window
 from amusic_gym.extraction.map import DescribedMap
-from amusic_gym.live import LiveRoute
-from amusic_gym.pictures import layout
-from amusic_gym.pictures.viewer import MOST_SHOWN, PICTURE_MODES
 from amusic_gym.techniques import Technique
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
-from amusic_gym.window import Window
 
 SHAPE = (540, 960, 3)
 
@@ -374,7 +374,7 @@ def test_without_a_screen_the_refusal_says_what_to_do(bank, pygame, monkeypatch)
 
 def test_pygame_comes_without_a_greeting(pygame, capfd):
     code = (
-        "import numpy as np; from amusic_gym.window import Window\n"
+        "import numpy as np; from amusic_gym.envs.window import Window\n"
         "w = Window('t'); w.show(np.zeros((9, 9, 3), np.uint8)); w.close()"
     )
     root = Path(__file__).resolve().parent.parent

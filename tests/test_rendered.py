@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from amusic_gym.routes.folders import ImageFolder
-from amusic_gym.routes.rendered import (
+from amusic_gym.worlds import (
     CONDITIONS,
     KINDS,
     NAMES,
@@ -28,10 +28,10 @@ from amusic_gym.routes.rendered import (
     render_folders,
     traverse,
 )
-from amusic_gym.routes.rendered.camera import Camera
-from amusic_gym.routes.rendered.conditions import Look, look_at, stretch_at
-from amusic_gym.routes.rendered.drawing import draw
-from amusic_gym.routes.rendered.files import is_whole, run_of
+from amusic_gym.worlds.camera import Camera
+from amusic_gym.worlds.conditions import Look, look_at, stretch_at
+from amusic_gym.worlds.drawing import draw
+from amusic_gym.worlds.files import is_whole, run_of
 
 SMALL = (96, 72)
 ROOT = Path(__file__).resolve().parent.parent
@@ -55,7 +55,7 @@ def grey(image, size=(32, 24)):
 
 def test_equal_seeds_give_equal_bits_in_any_order_and_process(worlds):
     code = (
-        "from amusic_gym.routes.rendered import KINDS, World, render; import hashlib\n"
+        "from amusic_gym.worlds import KINDS, World, render; import hashlib\n"
         "for kind in KINDS:\n"
         "    world = World(1, kind)\n"
         "    for at in (30.0, 6.0):\n"
@@ -333,7 +333,7 @@ def test_27_full_disk_leaves_no_partial_image(tmp_path, monkeypatch):
 def test_27_killed_while_writing_leaves_whole_images_and_the_next_sweeps(tmp_path):
     code = (
         "from pathlib import Path; import os, sys\n"
-        "from amusic_gym.routes.rendered import render_folders\n"
+        "from amusic_gym.worlds import render_folders\n"
         "replace = os.replace\n"
         "def slow(a, b):\n"
         "    if str(b).endswith('0001.jpg'):\n"

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from amusic_gym.bank import ScoreBank
+from amusic_gym.banks.bank import ScoreBank
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 

@@ -14,9 +14,9 @@ from env_cases import random_bank
 from hypothesis import given
 from hypothesis import strategies as st
 
-from amusic_gym import bank_files
-from amusic_gym.bank import ScoreBank
-from amusic_gym.ground_truth import GroundTruth
+from amusic_gym.banks import bank_files
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.routes import motion as motions
 from amusic_gym.routes import retime as module
 from amusic_gym.routes.motion import JUMP, KIDNAPPED, MOTIONS, PACED, SPEED_CHANGE, SPEEDS, walk

@@ -21,19 +21,19 @@ from matplotlib.figure import Figure
 from test_rollout import assert_same
 from test_study import learned, plan_of
 
-from amusic_gym import study
-from amusic_gym.bank import ScoreBank
-from amusic_gym.comparison import compare
-from amusic_gym.dynamics import IDLE_DECAY
-from amusic_gym.metrics import summarise
-from amusic_gym.observation import TECHNIQUE_FEATURES, observation_size
-from amusic_gym.policy import Context
-from amusic_gym.rollout import Job, rollout, rollouts
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.estimation.dynamics import IDLE_DECAY
+from amusic_gym.estimation.observation import TECHNIQUE_FEATURES, observation_size
+from amusic_gym.evaluation import study
+from amusic_gym.evaluation.comparison import compare
+from amusic_gym.evaluation.metrics import summarise
+from amusic_gym.evaluation.rollout import Job, rollout, rollouts
+from amusic_gym.evaluation.study import cells as kinds
+from amusic_gym.evaluation.study.figures import draw
+from amusic_gym.evaluation.study.findings import EVERYONE
+from amusic_gym.policies.protocol import Context
 from amusic_gym.routes.simulate import planted, simulate
-from amusic_gym.study import cells as kinds
-from amusic_gym.study.figures import draw
-from amusic_gym.study.findings import EVERYONE
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "scripts"))
 

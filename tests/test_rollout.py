@@ -7,12 +7,12 @@ import pytest
 from amusic_baselines import make_policy
 from env_cases import random_bank
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.policy import Context, Localiser, Needs, Selector
-from amusic_gym.rollout import Job, rollout, rollouts
-from amusic_gym.settings import SICSettings
-from amusic_gym.trace import Trace
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.evaluation.rollout import Job, rollout, rollouts
+from amusic_gym.policies.protocol import Context, Localiser, Needs, Selector
+from amusic_gym.policies.trace import Trace
 
 ARRAYS = (
     "predictions",

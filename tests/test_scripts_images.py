@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from extraction_cases import make_images
 
-from amusic_gym.bank import GroundTruth, ScoreBank
+from amusic_gym.banks.bank import GroundTruth, ScoreBank
 from amusic_gym.extraction import BLOCK
 from amusic_gym.routes.images import read_image
 

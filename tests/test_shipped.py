@@ -14,12 +14,12 @@ from amusic_agents.shipped import IDLING, PRETRAINED, SHIPPED, shipped
 from env_cases import random_bank
 from small_training import SCRIPTS, SMALL
 
-from amusic_gym.metrics import compute
-from amusic_gym.policy import Context
-from amusic_gym.rollout import Job, rollout, rollouts
+from amusic_gym.envs.sources import SimulatedRoutes
+from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.evaluation.metrics import compute
+from amusic_gym.evaluation.rollout import Job, rollout, rollouts
+from amusic_gym.policies.protocol import Context
 from amusic_gym.routes.simulate import population
-from amusic_gym.settings import SICSettings
-from amusic_gym.sources import SimulatedRoutes
 
 if str(SCRIPTS) not in sys.path:
     sys.path.insert(0, str(SCRIPTS))

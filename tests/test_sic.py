@@ -11,11 +11,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from selection_cases import CLOSE, as_arguments, as_settings, assert_details, assert_route, follow
 
-from amusic_gym import sic as kernels
-from amusic_gym.bank import ScoreBank
-from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.settings import SICSettings
-from amusic_gym.sic import SIC, SLACK
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.estimation import sic as kernels
+from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.estimation.sic import SIC, SLACK
 
 PLAIN = {"carry": False, "discount": False}
 NOWHERE = np.full(60, -1)

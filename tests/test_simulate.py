@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from amusic_baselines import make_policy
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.policy import Context
-from amusic_gym.rollout import rollout
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.estimation.settings import STATISTICS
+from amusic_gym.evaluation.rollout import rollout
+from amusic_gym.policies.protocol import Context
 from amusic_gym.routes.descriptors import BLOCK, smooth, write_scores
 from amusic_gym.routes.motion import MOTIONS
 from amusic_gym.routes.simulate import Simulation, planted, simulate
 from amusic_gym.routes.statistics import MEASURES, describe
 from amusic_gym.routes.world import World, decoys, no_repeats, repeated_places
-from amusic_gym.settings import STATISTICS
 
 # Everything that could blur what a test looks at, off.
 PLAIN = Simulation(

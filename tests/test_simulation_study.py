@@ -10,10 +10,10 @@ import pytest
 from amusic_baselines import make_policy
 from env_cases import random_bank
 
-from amusic_gym.policy import Context
-from amusic_gym.rollout import rollout
-from amusic_gym.settings import STATISTICS, SICSettings
-from amusic_gym.sic import SIC
+from amusic_gym.estimation.settings import STATISTICS, SICSettings
+from amusic_gym.estimation.sic import SIC
+from amusic_gym.evaluation.rollout import rollout
+from amusic_gym.policies.protocol import Context
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 

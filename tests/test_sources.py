@@ -11,11 +11,11 @@ import pytest
 from env_cases import assert_same, infos_of, play, random_actions, random_bank
 from stable_baselines3.common.env_util import make_vec_env
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.observation import TECHNIQUE_FEATURES, observation_names
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.envs.sources import Banks, RouteSource, SimulatedRoutes
+from amusic_gym.estimation.observation import TECHNIQUE_FEATURES, observation_names
 from amusic_gym.routes.simulate import POPULATION, TOURS
-from amusic_gym.sources import Banks, RouteSource, SimulatedRoutes
 
 # ---- several banks -----------------------------------------------------------------------
 

@@ -17,22 +17,22 @@ from env_cases import random_bank
 from test_promises_compare import run, run_and_stop, trained  # noqa: F401  (fixtures)
 from test_rollout import Cycle
 
-from amusic_gym import study
-from amusic_gym.audit import audit
-from amusic_gym.bank import ScoreBank
-from amusic_gym.comparison import Contestant
-from amusic_gym.imports import PACKAGE
-from amusic_gym.metrics import mean_rows, summarise
-from amusic_gym.policy import Context
-from amusic_gym.rollout import rollout
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.evaluation import study
+from amusic_gym.evaluation.audit import audit
+from amusic_gym.evaluation.comparison import Contestant
+from amusic_gym.evaluation.metrics import mean_rows, summarise
+from amusic_gym.evaluation.rollout import rollout
+from amusic_gym.evaluation.study import Entrant, store
+from amusic_gym.evaluation.study.cells import LABELS
+from amusic_gym.evaluation.study.field import BOTH, SEEDS, Field
+from amusic_gym.evaluation.study.figures import draw
+from amusic_gym.evaluation.study.findings import EVERYONE, ahead
+from amusic_gym.evaluation.study.fronts import GRID, front_at, hypervolume
+from amusic_gym.evaluation.study.tables import Table, tables, text, write_markdown
+from amusic_gym.policies.protocol import Context
 from amusic_gym.routes.retime import retime
-from amusic_gym.study import Entrant, store
-from amusic_gym.study.cells import LABELS
-from amusic_gym.study.field import BOTH, SEEDS, Field
-from amusic_gym.study.figures import draw
-from amusic_gym.study.findings import EVERYONE, ahead
-from amusic_gym.study.fronts import GRID, front_at, hypervolume
-from amusic_gym.study.tables import Table, tables, text, write_markdown
+from amusic_gym.utils.imports import PACKAGE
 
 WEIGHTS = (0.1, 1.0, 8.0)
 

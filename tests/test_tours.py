@@ -14,7 +14,7 @@ from extraction_cases import Tiny, make_images
 from hypothesis import given
 from hypothesis import strategies as st
 
-from amusic_gym.bank import ScoreBank
+from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.extraction import BLOCK, describe_map, extract
 from amusic_gym.extraction.describe import Plan, images_of
 from amusic_gym.routes import folders as folders_module

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.storage import write_whole
-from amusic_gym.trace import CSV_COLUMNS, Trace
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.policies.trace import CSV_COLUMNS, Trace
+from amusic_gym.utils.storage import write_whole
 
 # Five frames on a map of six places, true place q ± 0; frame 3 has no true place.
 CENTRES = [0, 1, 2, -1, 4]
@@ -146,7 +146,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("amusic_gym.storage.os.replace", fail)
+    monkeypatch.setattr("amusic_gym.utils.storage.os.replace", fail)
     with pytest.raises(OSError, match="No space"):
         write_whole(path, b"new")
     assert path.read_bytes() == b"old"

@@ -24,14 +24,14 @@ from small_training import SMALL
 from stable_baselines3.common.logger import Logger
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from amusic_gym import observation
-from amusic_gym.bank import ScoreBank
-from amusic_gym.metrics import compute
-from amusic_gym.rollout import Job, rollout, rollouts
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.sources import SimulatedRoutes
+from amusic_gym.estimation import observation
+from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.evaluation.metrics import compute
+from amusic_gym.evaluation.rollout import Job, rollout, rollouts
+from amusic_gym.policies.trace import Trace
 from amusic_gym.routes.simulate import planted
-from amusic_gym.settings import SICSettings
-from amusic_gym.sources import SimulatedRoutes
-from amusic_gym.trace import Trace
 
 FILES = {"config.json", SELECTOR, CHECKPOINT, EVALUATIONS, "progress.csv"}
 

@@ -12,8 +12,8 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amusic_gym.env import TechniqueSelectionEnv
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
 MODES = list(AutoresetMode)
 

@@ -14,7 +14,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
 
 class SB3VecEnv(VecEnv):
@@ -25,8 +25,8 @@ class SB3VecEnv(VecEnv):
     hot path builds no dictionary for the other routes.
 
     Args:
-        env: a :class:`~amusic_gym.vector_env.TechniqueSelectionVectorEnv`, in Gymnasium's vector
-            wrappers or not.
+        env: a :class:`~amusic_gym.envs.vector_env.TechniqueSelectionVectorEnv`, in Gymnasium's
+            vector wrappers or not.
 
     Raises:
         ValueError: for another autoreset mode.

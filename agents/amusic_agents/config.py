@@ -12,11 +12,11 @@ from amusic_agents.learners import ALGORITHMS
 from amusic_agents.network import NetworkConfig
 from amusic_agents.run_folder import CONFIG, read_config, versions
 from amusic_gym import __version__
-from amusic_gym.checks import flag, number, share, whole
-from amusic_gym.names import suggest
-from amusic_gym.rewards import REWARDS
+from amusic_gym.envs.rewards import REWARDS
+from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.routes.simulate import Simulation, population
-from amusic_gym.settings import SICSettings
+from amusic_gym.utils.checks import flag, number, share, whole
+from amusic_gym.utils.names import suggest
 
 HIGHEST_SEED = 1_000_000_000
 """Seeds beyond would draw the held-out routes for training."""
@@ -127,8 +127,8 @@ class TrainingConfig:
         carry: whether places are carried on as candidates; None: as the statistic has it.
         discount: whether MuSIC discounts alike rows; None: as the statistic has it.
         allow_idle: whether the selector may run nothing on a frame; by policy iteration only.
-        reward: name in `amusic_gym.rewards.REWARDS`; ``"ground_truth"`` learns from what is true on
-            the training routes instead of from p̂, which a selector may learn to please.
+        reward: name in `amusic_gym.envs.rewards.REWARDS`; ``"ground_truth"`` learns from what is
+            true on the training routes instead of from p̂, which a selector may learn to please.
         compute_weights: range from which every episode draws λ, on a logarithmic scale.
         simulation: name → value or (low, high), of ranges that training routes are drawn from
             instead of those of `amusic_gym.routes.simulate.population`.

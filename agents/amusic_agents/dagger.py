@@ -27,11 +27,11 @@ from amusic_agents.run_folder import (
     write_tensors,
 )
 from amusic_agents.selector import TrainedSelector
-from amusic_gym.escaping import CsvWriter
-from amusic_gym.observation import observation_size
-from amusic_gym.policy import Selector
-from amusic_gym.sources import RouteSource
-from amusic_gym.storage import write_whole
+from amusic_gym.envs.sources import RouteSource
+from amusic_gym.estimation.observation import observation_size
+from amusic_gym.policies.protocol import Selector
+from amusic_gym.utils.escaping import CsvWriter
+from amusic_gym.utils.storage import write_whole
 
 SEEN = "seen"
 """Folder of what was seen in each round; it goes when the last one is done."""

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from amusic_gym.metrics import compute
-from amusic_gym.policy import Selector
-from amusic_gym.rollout import Job, rollouts
+from amusic_gym.envs.sources import SimulatedRoutes
+from amusic_gym.evaluation.metrics import compute
+from amusic_gym.evaluation.rollout import Job, rollouts
+from amusic_gym.policies.protocol import Selector
 from amusic_gym.routes.simulate import population
-from amusic_gym.sources import SimulatedRoutes
 
 HELD_OUT_SEED = 2_000_000_000
 COMPUTE_WEIGHTS = (0.03, 0.1, 0.3, 1.0, 3.0)

@@ -16,8 +16,8 @@ from amusic_agents.dagger import DAgger
 from amusic_agents.run_folder import CHECKPOINT
 from amusic_agents.selector import load_selector
 from amusic_agents.training import bank_folders, begun, refuse_used, train, training_source
-from amusic_gym.policy import Correction, Needs, Selector
-from amusic_gym.sources import BankLike, RouteSource
+from amusic_gym.envs.sources import BankLike, RouteSource
+from amusic_gym.policies.protocol import Correction, Needs, Selector
 
 IMITATION = "imitation"
 """Folder of the imitation within a run that goes on with PPO."""

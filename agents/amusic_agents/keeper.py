@@ -33,10 +33,10 @@ from amusic_agents.run_folder import (
     write_selector,
     write_tensors,
 )
-from amusic_gym.checks import number, whole
-from amusic_gym.escaping import CsvWriter
-from amusic_gym.policy import Selector
-from amusic_gym.storage import write_whole
+from amusic_gym.policies.protocol import Selector
+from amusic_gym.utils.checks import number, whole
+from amusic_gym.utils.escaping import CsvWriter
+from amusic_gym.utils.storage import write_whole
 
 
 class Records:

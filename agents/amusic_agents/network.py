@@ -18,8 +18,8 @@ import torch
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import nn
 
-from amusic_gym.checks import number, whole
-from amusic_gym.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
+from amusic_gym.estimation.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
+from amusic_gym.utils.checks import number, whole
 
 VERSION = 1
 """Rises whenever stored weights would mean something else."""

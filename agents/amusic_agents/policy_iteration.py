@@ -35,11 +35,11 @@ from amusic_agents.run_folder import CHECKPOINT, check_layers, part, read_tensor
 from amusic_agents.selector import load_selector
 from amusic_agents.subsets import MOST_SLOTS, SubsetNetwork, SubsetSelector, SubsetSizes
 from amusic_agents.training import bank_folders, begun, training_source
-from amusic_gym.observation import observation_size
-from amusic_gym.policy import Selector
-from amusic_gym.sources import BankLike, RouteSource
-from amusic_gym.task import Task
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.envs.sources import BankLike, RouteSource
+from amusic_gym.envs.task import Task
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.estimation.observation import observation_size
+from amusic_gym.policies.protocol import Selector
 
 SPELL = (3, 50)
 """Frames for which a route of a collection is driven in one way: by the policy, or by a subset."""

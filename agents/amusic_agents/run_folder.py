@@ -29,9 +29,9 @@ from torch import nn
 from amusic_agents.learners import KINDS, Kind
 from amusic_agents.learners import kind as kind_of
 from amusic_agents.network import VERSION as NETWORK_VERSION
-from amusic_gym.observation import VERSION as OBSERVATION_VERSION
-from amusic_gym.settings import STATISTICS
-from amusic_gym.storage import parse_json, read_json, write_whole
+from amusic_gym.estimation.observation import VERSION as OBSERVATION_VERSION
+from amusic_gym.estimation.settings import STATISTICS
+from amusic_gym.utils.storage import parse_json, read_json, write_whole
 
 FORMAT_VERSION = 1
 CONFIG = "config.json"

@@ -15,8 +15,8 @@ from amusic_agents.learners.driver import NetworkSelector
 from amusic_agents.network import NetworkConfig, SelectorNetwork
 from amusic_agents.run_folder import read_config, read_selector
 from amusic_agents.shipped import shipped
-from amusic_gym.policy import Selector
-from amusic_gym.settings import SICSettings
+from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.policies.protocol import Selector
 
 
 class TrainedSelector(NetworkSelector[SelectorNetwork]):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from amusic_gym.settings import STATISTICS, SICSettings
+from amusic_gym.estimation.settings import STATISTICS, SICSettings
 
 PRETRAINED = Path(__file__).parent / "pretrained"
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.policy import Needs, Selector
-from amusic_gym.rollout import Job, rollouts
+from amusic_gym.evaluation.rollout import Job, rollouts
+from amusic_gym.policies.protocol import Needs, Selector
 
 
 class ByWeight:

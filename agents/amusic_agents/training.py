@@ -19,10 +19,10 @@ from amusic_agents.learners import learner
 from amusic_agents.run_folder import CHECKPOINT, SELECTOR, read_config
 from amusic_agents.selector import load_selector
 from amusic_agents.warm_start import FreezeActor, Start, starting_network, take_over
-from amusic_gym.bank_files import refuse_within_bank
-from amusic_gym.policy import Selector
-from amusic_gym.sources import BankLike, Banks, RouteSource, SimulatedRoutes
-from amusic_gym.storage import only_writer
+from amusic_gym.banks.bank_files import refuse_within_bank
+from amusic_gym.envs.sources import BankLike, Banks, RouteSource, SimulatedRoutes
+from amusic_gym.policies.protocol import Selector
+from amusic_gym.utils.storage import only_writer
 
 TRAINING_SEED = 1_000_000
 """First seed of the training routes; held-out routes have another."""

@@ -14,8 +14,8 @@ from amusic_agents.learners import learner
 from amusic_agents.learners.ppo import network
 from amusic_agents.network import PRESENT, WIDTH, SelectorNetwork
 from amusic_agents.run_folder import SELECTOR, check_layers, read_config, read_selector
-from amusic_gym.observation import observation_size
-from amusic_gym.settings import SICSettings
+from amusic_gym.estimation.observation import observation_size
+from amusic_gym.estimation.settings import SICSettings
 
 Start = SelectorNetwork | str | Path
 """Where a warm start's weights come from: a network, or a run folder."""

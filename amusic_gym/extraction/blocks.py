@@ -20,7 +20,7 @@ from amusic_gym.routes.conditions import Change
 from amusic_gym.routes.images import decode_image, digest_of, read_bytes
 from amusic_gym.techniques.own_code import guarded
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
-from amusic_gym.threads import alone
+from amusic_gym.utils.threads import alone
 
 BLOCK = 64
 """References (and queries) per block."""

@@ -20,8 +20,8 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym import storage
 from amusic_gym.extraction.blocks import Stored
+from amusic_gym.utils import storage
 
 _DIGEST = 64  # bytes at the start; keeps the numbers aligned too
 _INCOMING = "incoming"

@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from amusic_gym.imports import imports_of
 from amusic_gym.techniques.own_code import guarded, is_local
 from amusic_gym.techniques.protocol import Technique
+from amusic_gym.utils.imports import imports_of
 
 _PACKAGE = "amusic_gym"
 _ALWAYS = ("amusic_gym.routes.images", "amusic_gym.extraction.blocks")

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.extraction.shards import Advance, S, nothing
-from amusic_gym.names import nearest
 from amusic_gym.techniques.protocol import Technique
+from amusic_gym.utils.names import nearest
 
 EXECUTORS = ("serial", "process:N", "ray", "ray:ADDRESS")
 

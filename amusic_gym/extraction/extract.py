@@ -13,19 +13,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amusic_gym import bank_files
-from amusic_gym.bank import ScoreBank, check_names, check_seconds
+from amusic_gym.banks import bank_files
+from amusic_gym.banks.bank import ScoreBank, check_names, check_seconds
+from amusic_gym.banks.ground_truth import GroundTruth, resolve_ground_truth
+from amusic_gym.banks.loop_closure import rows_without_recent, truth_without_recent
 from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.describe import Plan, images_of, match, score_rows
 from amusic_gym.extraction.executors import Executor, make_executor
 from amusic_gym.extraction.progress import Progress
 from amusic_gym.extraction.seconds import known_cost
-from amusic_gym.ground_truth import GroundTruth, resolve_ground_truth
-from amusic_gym.loop_closure import rows_without_recent, truth_without_recent
-from amusic_gym.names import suggest
 from amusic_gym.routes.folders import ImageFolder, check_apart
 from amusic_gym.routes.image_truth import by_index
 from amusic_gym.techniques import Technique, make_technique
+from amusic_gym.utils.names import suggest
 
 _Folder = ImageFolder | str | os.PathLike[str]
 

@@ -18,7 +18,7 @@ from amusic_gym.extraction.executors import make_executor
 from amusic_gym.extraction.progress import Progress
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.techniques import Descriptor, Image, Technique, make_technique
-from amusic_gym.threads import limit_this_thread, one_thread
+from amusic_gym.utils.threads import limit_this_thread, one_thread
 
 
 class DescribedMap(Sequence[Descriptor]):

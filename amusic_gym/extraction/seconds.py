@@ -18,7 +18,7 @@ from amusic_gym.extraction.describe import Plan, describe
 from amusic_gym.extraction.executors import Workers
 from amusic_gym.extraction.progress import Progress
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
-from amusic_gym.threads import one_thread
+from amusic_gym.utils.threads import one_thread
 
 QUERIES = 5
 """Frames that are timed, after one to warm up."""

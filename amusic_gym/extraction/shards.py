@@ -19,7 +19,7 @@ from amusic_gym.extraction.blocks import (
     match_one,
 )
 from amusic_gym.techniques.protocol import Descriptor, Technique
-from amusic_gym.threads import one_thread
+from amusic_gym.utils.threads import one_thread
 
 ATTEMPTS = 3
 """How often a shard is tried whose worker dies."""

@@ -1,7 +1,7 @@
 """Conditions for images of real places: night, blur, shift, fog, rain, glare.
 
 What a query would have looked like under worse conditions, computed from the image alone: no depth,
-no model of the scene. So it is cruder than `amusic_gym.routes.rendered`, and works on any image.
+no model of the scene. So it is cruder than `amusic_gym.worlds`, and works on any image.
 
 A condition is written ``NAME`` or ``NAME:STRENGTH``, the strength in (0, 1], `STRENGTH` unless
 given; several at once are joined by ``+`` and applied in that order, as in ``night:0.5+rain``.
@@ -22,9 +22,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.checks import whole
-from amusic_gym.names import suggest
 from amusic_gym.techniques.protocol import Image
+from amusic_gym.utils.checks import whole
+from amusic_gym.utils.names import suggest
 
 STRENGTH = 0.7
 """Of a condition that is written without one."""

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from amusic_gym.checks import whole
-from amusic_gym.ground_truth import GroundTruth
-from amusic_gym.names import suggest
+from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.image_truth import by_index
+from amusic_gym.utils.checks import whole
+from amusic_gym.utils.names import suggest
 
 
 @dataclass(frozen=True)

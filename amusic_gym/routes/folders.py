@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
-from amusic_gym.checks import whole
 from amusic_gym.routes.conditions import Change
 from amusic_gym.routes.images import (
     SUFFIXES,
@@ -21,8 +20,9 @@ from amusic_gym.routes.images import (
     read_image,
 )
 from amusic_gym.routes.numbering import arranged, gaps, natural_key, same_numbers
-from amusic_gym.storage import open_file
 from amusic_gym.techniques.protocol import Image
+from amusic_gym.utils.checks import whole
+from amusic_gym.utils.storage import open_file
 
 _NAMED = 5  # frames that a warning names before it only counts
 _CHUNK = 1 << 16  # bytes of two files that are compared at a time

@@ -16,7 +16,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym._compile import without_gil
+from amusic_gym.kernels.compiling import without_gil
 from amusic_gym.routes.image_headers import JPEG_MARKER, tiff_tags
 
 _SPARE = 8  # bytes that may be left over at the end of a JPEG's scan

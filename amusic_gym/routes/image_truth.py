@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.ground_truth import GroundTruth
+from amusic_gym.banks.ground_truth import GroundTruth
+from amusic_gym.banks.truth_files import read_truth
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.images import image_digest
-from amusic_gym.truth_files import read_truth
 
 METRES = 25.0
 """Distance within which two images show the same place, as it is customary in this field."""
@@ -152,7 +152,7 @@ def from_file(
     trust: bool = False,
     default: int | None = None,
 ) -> GroundTruth:
-    """Ground truth from a file for two image folders: see `amusic_gym.truth_files.read_truth`.
+    """Ground truth from a file for two image folders (:mod:`amusic_gym.banks.truth_files`).
 
     Pairs may be of the images' names, with or without their folders and suffixes.
     """

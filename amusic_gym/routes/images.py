@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym import storage
 from amusic_gym.routes.image_headers import KINDS, PNM_MAXIMUM, measure, tiff_tags
 from amusic_gym.techniques.protocol import Image
+from amusic_gym.utils import storage
 
 MAX_PIXELS = 100_000_000
 """Width times height that is read unless more is asked for: 300 MB once decoded."""

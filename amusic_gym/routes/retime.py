@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym import bank_files
-from amusic_gym.bank import ScoreBank, floored
-from amusic_gym.checks import whole
-from amusic_gym.ground_truth import GroundTruth
-from amusic_gym.names import suggest
+from amusic_gym.banks import bank_files
+from amusic_gym.banks.bank import ScoreBank, floored
+from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.routes.motion import JUMP, KIDNAPPED, PACED, walk
+from amusic_gym.utils.checks import whole
+from amusic_gym.utils.names import suggest
 
 __all__ = ["RETIMINGS", "retime", "retimed_frames", "retimed_truth", "save_retimed"]
 

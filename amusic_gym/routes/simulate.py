@@ -22,8 +22,7 @@ from string import ascii_uppercase
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.names import suggest
+from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.routes.descriptors import Look, smooth, write_scores
 from amusic_gym.routes.motion import (
     JUMP,
@@ -52,6 +51,7 @@ from amusic_gym.routes.world import (
     no_repeats,
     repeated_places,
 )
+from amusic_gym.utils.names import suggest
 
 TECHNIQUE_NAMES = tuple(ascii_uppercase)  # so many techniques at most
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.bank import ScoreBank
-from amusic_gym.ground_truth import GroundTruth
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.ground_truth import GroundTruth
 
 # Key -> what it is, in the order of the tables. `accuracy_NAME` is filled for given predictions.
 MEASURES: dict[str, str] = {

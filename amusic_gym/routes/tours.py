@@ -19,13 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
-from amusic_gym import storage
-from amusic_gym.checks import whole
-from amusic_gym.ground_truth import GroundTruth
+from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.routes.conditions import CONDITIONS, Change, Condition
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.image_truth import by_index
 from amusic_gym.routes.world import no_repeats
+from amusic_gym.utils import storage
+from amusic_gym.utils.checks import whole
 
 SHORTEST, LONGEST = 40, 80
 """Frames of a spell; the last one ends with the tour and may be shorter."""

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from amusic_gym import storage
-from amusic_gym.checks import whole
-from amusic_gym.names import suggest
 from amusic_gym.routes.images import MAX_PIXELS
 from amusic_gym.techniques.protocol import Image
+from amusic_gym.utils import storage
+from amusic_gym.utils.checks import whole
+from amusic_gym.utils.names import suggest
 
 CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 """Suffix of a video to write → its codec; both are in every build of OpenCV."""

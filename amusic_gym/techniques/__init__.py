@@ -16,9 +16,9 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from amusic_gym.names import suggest
 from amusic_gym.techniques.own_code import guarded, told
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
+from amusic_gym.utils.names import suggest
 
 __all__ = ["TECHNIQUES", "Descriptor", "Image", "Technique", "make_technique", "register"]
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from amusic_gym._compile import without_gil
+from amusic_gym.kernels.compiling import without_gil
 
 RADIUS = 5
 """Of the disk around a pixel: all pixels at most so far away, centre to centre."""

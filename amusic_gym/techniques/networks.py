@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812 (its usual name)
 
-from amusic_gym.checks import whole
+from amusic_gym.utils.checks import whole
 
 Stages: TypeAlias = tuple[tuple[int, ...], ...]
 Network = TypeVar("Network", bound=nn.Module)

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.checks import whole
-from amusic_gym.names import suggest
 from amusic_gym.techniques.protocol import Image
+from amusic_gym.utils.checks import whole
+from amusic_gym.utils.names import suggest
 
 CALC_SIZE = (160, 120)
 """Width and height of the images that CALC's network takes."""

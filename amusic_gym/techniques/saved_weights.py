@@ -26,10 +26,10 @@ import numpy as np
 from safetensors.numpy import save
 from torch import nn
 
-from amusic_gym.storage import write_whole
 from amusic_gym.techniques.networks import CALCEncoder, NetVLADNetwork
 from amusic_gym.techniques.preparation import Preparation
 from amusic_gym.techniques.weight_files import DESCRIPTION, FORMAT_VERSION
+from amusic_gym.utils.storage import write_whole
 
 
 def save_calc(path: str | Path, encoder: CALCEncoder, *, training: str, half: bool = False) -> Path:

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.storage import open_file
 from amusic_gym.techniques.weight_readers import (
     MOST_BYTES,
     READERS,
@@ -26,6 +25,7 @@ from amusic_gym.techniques.weight_readers import (
     RefusalError,
     refuse_bombs,
 )
+from amusic_gym.utils.storage import open_file
 
 FORMAT_VERSION = 1
 """Of our own layout (saved_weights.py); rises when stored weights would mean something else."""

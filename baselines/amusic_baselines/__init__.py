@@ -22,8 +22,8 @@ from amusic_baselines.subset import music, single, subset
 from amusic_baselines.switchhit import switchhit
 from amusic_baselines.uniform import uniform
 from amusic_baselines.voi import voi
-from amusic_gym.names import suggest
-from amusic_gym.policy import Context, Policy
+from amusic_gym.policies.protocol import Context, Policy
+from amusic_gym.utils.names import suggest
 
 Factory = Callable[[str | None, Context], Policy]
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import stdtr
 
-from amusic_gym.names import suggest
-from amusic_gym.policy import Context, Needs
-from amusic_gym.settings import BLOCK, COVERAGE, STATISTICS
+from amusic_gym.estimation.settings import BLOCK, COVERAGE, STATISTICS
+from amusic_gym.policies.protocol import Context, Needs
+from amusic_gym.utils.names import suggest
 
 ALPHA = 0.05
 """Significance level of the re-selection test (A-MuSIC, III-C2)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from amusic_gym.policy import Context
+from amusic_gym.policies.protocol import Context
 
 IDLE = "idle"
 """In place of a subset: nothing runs."""

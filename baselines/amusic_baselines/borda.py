@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from amusic_baselines.arguments import whole
 from amusic_baselines.scores import every_row
-from amusic_gym.policy import Context, Run
+from amusic_gym.policies.protocol import Context, Run
 
 DEPTH = 20
 

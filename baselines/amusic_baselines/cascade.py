@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from amusic_baselines.arguments import number, parts, whole
 from amusic_baselines.costs import cost_ranks
-from amusic_gym.names import suggest
-from amusic_gym.policy import Context, Needs
+from amusic_gym.policies.protocol import Context, Needs
+from amusic_gym.utils.names import suggest
 
 CHEAP = 2
 HOLD = 20

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from amusic_baselines.arguments import whole
 from amusic_baselines.scores import RADIUS, every_row, scaled
-from amusic_gym.policy import Context, Run
+from amusic_gym.policies.protocol import Context, Run
 
 MOST_TECHNIQUES = 10
 """There are 2**T - 1 subsets, 1023 of so many."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from amusic_baselines.arguments import number, parts
 from amusic_baselines.scores import every_row, standardised
-from amusic_gym.policy import Context, Run
+from amusic_gym.policies.protocol import Context, Run
 
 MOVES = (0.08, 0.80, 0.12)  # chances of 0, 1 and 2 places per frame
 BETA = 0.6

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from amusic_baselines.arguments import none
 from amusic_baselines.scores import every_row, scaled, standardised
-from amusic_gym.policy import Context, Run
+from amusic_gym.policies.protocol import Context, Run
 
 CANDIDATES = (100, 10)  # that each technique of a tier passes on; the last tier decides
 WEIGHTS = (0.5, 0.75, 1.0)  # of the tiers

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from amusic_baselines.arguments import whole
 from amusic_baselines.scores import RADIUS, best_outside, every_row, scaled
-from amusic_gym.policy import Context, Run
+from amusic_gym.policies.protocol import Context, Run
 
 EPSILON = 0.001  # of an observation that says nothing, and of a move that is not expected
 THRESHOLD = 0.5  # below it an observation says nothing

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_baselines.arguments import none
-from amusic_gym.bank import ScoreBank
-from amusic_gym.policy import Context, Needs
-from amusic_gym.settings import SICSettings
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.policies.protocol import Context, Needs
 
 
 class Oracle:
@@ -81,7 +81,7 @@ class _Diagonals:
     """Each technique's own SIC: where one technique runs per frame, MuSIC takes its match."""
 
     def __init__(self, bank: ScoreBank, settings: SICSettings) -> None:
-        from amusic_gym.sic import SIC
+        from amusic_gym.estimation.sic import SIC
 
         self.bank = bank
         self.sics = [SIC(bank.references, settings) for _ in bank.techniques]
@@ -103,7 +103,7 @@ class _Belief:
     """The route itself, driven a second time: all techniques feed one belief."""
 
     def __init__(self, bank: ScoreBank, settings: SICSettings) -> None:
-        from amusic_gym.episode import Episodes, Route
+        from amusic_gym.envs.episode import Episodes, Route
 
         columns = np.arange(len(bank.techniques))
         self.episodes = Episodes(1, columns.size, settings)

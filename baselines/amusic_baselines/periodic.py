@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from amusic_baselines.arguments import IDLE, columns, required, whole
 from amusic_baselines.costs import cheapest
-from amusic_gym.policy import Context, Needs
+from amusic_gym.policies.protocol import Context, Needs
 
 FORM = "N[/A+B[/C]]"
 MOST = 1_000_000

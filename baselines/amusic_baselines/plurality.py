@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from amusic_baselines.arguments import none
 from amusic_baselines.scores import every_row, standardised
-from amusic_gym.policy import Context, Run
+from amusic_gym.policies.protocol import Context, Run
 
 
 def count_votes(rows: NDArray[np.float64], tolerance: int) -> tuple[int, float]:

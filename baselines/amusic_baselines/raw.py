@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from amusic_baselines.arguments import required
-from amusic_gym.bank import floored
-from amusic_gym.policy import Context, Run
+from amusic_gym.banks.bank import floored
+from amusic_gym.policies.protocol import Context, Run
 
 
 class Raw:

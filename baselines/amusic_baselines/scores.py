@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.bank import floored
-from amusic_gym.policy import Run
+from amusic_gym.banks.bank import floored
+from amusic_gym.policies.protocol import Run
 
 RADIUS = 20
 """R: places to either side of a match that count as the same one (Hausler 2019; Nordland 10)."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_baselines.arguments import columns, none, required
-from amusic_gym.policy import Context, Needs
+from amusic_gym.policies.protocol import Context, Needs
 
 
 class Subset:

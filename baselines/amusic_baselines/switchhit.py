@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from amusic_baselines.arguments import number
 from amusic_baselines.scores import standardised
-from amusic_gym.bank import ScoreBank
-from amusic_gym.policy import Context, Run
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.policies.protocol import Context, Run
 
 THRESHOLD = 0.7
 """τ: correctness at which it stops."""

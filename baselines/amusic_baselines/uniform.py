@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_baselines.arguments import IDLE, required
-from amusic_gym.policy import Context, Needs
+from amusic_gym.policies.protocol import Context, Needs
 
 FORM = "P[/idle]"
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from amusic_baselines.arguments import IDLE, number
 from amusic_baselines.costs import cost_shares
-from amusic_gym.policy import Context, Needs
+from amusic_gym.policies.protocol import Context, Needs
 
 KEEP = 0.9
 """Share of a technique's record that is left after each further run."""
@@ -59,8 +59,8 @@ class ValueOfInformation:
         keep: float = KEEP,
         lasting: float = LASTING,
     ) -> None:
-        from amusic_gym.dynamics import IDLE_DECAY  # these load Numba
-        from amusic_gym.observation import TECHNIQUE_FEATURES
+        from amusic_gym.estimation.dynamics import IDLE_DECAY  # these load Numba
+        from amusic_gym.estimation.observation import TECHNIQUE_FEATURES
 
         self.needs = Needs(allow_idle=idle)
         self.compute_weight = compute_weight

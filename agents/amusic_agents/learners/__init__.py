@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from amusic_gym.names import suggest
+from amusic_gym.utils.names import suggest
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from torch import nn
 
     from amusic_agents.config import TrainingConfig
-    from amusic_gym.policy import Selector
-    from amusic_gym.sources import RouteSource
+    from amusic_gym.envs.sources import RouteSource
+    from amusic_gym.policies.protocol import Selector
 
 ALGORITHMS = {
     "ppo": "amusic_agents.learners.ppo",

@@ -7,8 +7,8 @@ from typing import Any
 import torch
 
 from amusic_agents.config import TrainingConfig
-from amusic_gym.sources import RouteSource
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.envs.sources import RouteSource
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
 
 def make_env(

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import nn
 
-from amusic_gym.policy import Needs
-from amusic_gym.settings import SICSettings
+from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.policies.protocol import Needs
 
 Network = TypeVar("Network", bound=nn.Module)
 

@@ -10,7 +10,7 @@ from amusic_agents.config import TrainingConfig
 from amusic_agents.learners import Learner
 from amusic_agents.learners.common import make_env, ppo_arguments
 from amusic_agents.network import SelectorNetwork, SelectorPolicy
-from amusic_gym.sources import RouteSource
+from amusic_gym.envs.sources import RouteSource
 
 
 def make_model(config: TrainingConfig, source: RouteSource) -> PPO:

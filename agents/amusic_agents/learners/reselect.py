@@ -28,9 +28,9 @@ from amusic_agents.learners import Kind, Learner
 from amusic_agents.learners.common import make_env, ppo_arguments
 from amusic_agents.learners.driver import NetworkSelector
 from amusic_agents.network import SetEncoder, SetSizes, build_around
-from amusic_gym.settings import BLOCK
-from amusic_gym.sources import RouteSource
-from amusic_gym.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.envs.sources import RouteSource
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.estimation.settings import BLOCK
 
 FIRST_LOGIT = -3.5
 """Logit of selecting again before any training: once in 34 frames, for a selection is dear."""

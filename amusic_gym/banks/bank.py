@@ -1,0 +1,449 @@
+"""Score banks: the similarity of every query frame to every place, by every technique."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amusic_gym.banks import bank_files
+from amusic_gym.banks.ground_truth import GroundTruth, resolve_ground_truth
+from amusic_gym.utils.names import suggest
+
+if TYPE_CHECKING:
+    from amusic_gym.banks.rows import PreparedRows
+
+_Number = TypeVar("_Number", bound=np.generic)
+
+__all__ = ["COST_MODELS", "PAPER_SECONDS", "GroundTruth", "ScoreBank"]
+
+COST_MODELS = ("measured", "paper", "runs")
+"""``measured``: the bank's seconds; ``paper``: the paper's averages; ``runs``: 1 for each run."""
+
+PAPER_SECONDS = {"HOG": 0.045, "CALC": 0.165, "CoHOG": 0.707, "NetVLAD": 0.722}
+"""Seconds per frame, averaged over the paper's data sets (A-MuSIC, last column of the table)."""
+
+SHORTEST, LONGEST = 1e-12, 1e12
+"""Seconds of one run: sums and ratios of these are exact enough, and never infinite."""
+
+_preparing = threading.Lock()
+"""Environments in several threads that share a bank share what is prepared of it, too."""
+
+
+class ScoreBank:
+    """Scores of a query traverse against a map, with names, costs and ground truth.
+
+    A bank does not change: its arrays are read-only. One loaded from disk is memory-mapped;
+    copies share it, and pickles carry only its path. `subset` and `with_costs` give views of the
+    same scores.
+
+    Args:
+        scores: (T, Q, R) numbers, higher = more similar, −∞ for a place that is no candidate;
+            kept as float32. Copied, unless it is a float32 memory map opened read-only.
+        techniques: T different names, in the order of the scores.
+        seconds: (T,) seconds of one run of each technique on one frame, > 0.
+        tolerance: places to either side of the true one that count as right. None only where
+            ``ground_truth`` lists the true places itself: then half the median run of neighbours
+            among them.
+        ground_truth: None (query q is at place q) | (Q, R) boolean | (Q,) integer places, -1 for
+            a query without a true place | GroundTruth.
+        name: what to call the bank in tables; by default, its folder's name once on disk.
+        source: where the scores come from, for the reader of the bank.
+        costs: the cost model that ``seconds`` belong to, one of `COST_MODELS`.
+
+    Raises:
+        ValueError: for shapes that do not fit, scores of NaN or +∞, names that are empty,
+            repeated or ambiguous on a command line, seconds that are not positive.
+
+    Attributes:
+        stored: (T0, Q, R) float32, read-only, the scores of the bank on disk or in memory.
+        index: (T,) int64, where in ``stored`` each technique of this bank is.
+        techniques: T names.
+        seconds: (T,) float64, cost of one run under the cost model ``costs``.
+        tolerance: places.
+        truth: which places are true for each query.
+        path: the folder it was loaded from; None in memory.
+    """
+
+    def __init__(
+        self,
+        scores: ArrayLike,
+        techniques: Sequence[str],
+        seconds: ArrayLike,
+        *,
+        tolerance: int | None = None,
+        ground_truth: ArrayLike | GroundTruth | None = None,
+        name: str = "",
+        source: str = "",
+        costs: str = "measured",
+    ) -> None:
+        stored = _as_scores(scores)
+        names = check_names(techniques, len(stored))
+        truth, places = resolve_ground_truth(ground_truth, tolerance, *stored.shape[1:])
+        self._set(stored, names, check_seconds(seconds, names), places, truth, name, source, costs)
+        self.check_finite()
+
+    def _set(
+        self,
+        stored: NDArray[np.float32],
+        techniques: tuple[str, ...],
+        seconds: NDArray[np.float64],
+        tolerance: int,
+        truth: GroundTruth,
+        name: str,
+        source: str,
+        costs: str,
+    ) -> None:
+        if costs not in COST_MODELS:
+            raise ValueError(suggest("cost model", costs, COST_MODELS))
+        self.stored = stored
+        self.index: NDArray[np.int64] = np.arange(len(stored))
+        self.techniques = techniques
+        self.seconds = seconds
+        self.tolerance = tolerance
+        self.truth = truth
+        self.name = name
+        self.source = source
+        self.costs = costs
+        self.path: Path | None = None
+        self._fingerprint = ""  # of the folder's bank.json, for pickles
+        self._given = (costs, seconds)  # the cost model that came with the scores
+        self._prepared: dict[int, PreparedRows] = {}
+
+    # ---- shape and scores ----------------------------------------------------------------
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(T, Q, R): techniques, queries, references."""
+        return len(self.index), self.stored.shape[1], self.stored.shape[2]
+
+    @property
+    def queries(self) -> int:
+        """Q, frames of the query traverse."""
+        return self.shape[1]
+
+    @property
+    def references(self) -> int:
+        """R, places on the map."""
+        return self.shape[2]
+
+    @property
+    def scores(self) -> NDArray[np.float32]:
+        """(T, Q, R) float32, read-only: a view; a copy where a subset is out of order."""
+        first, count = int(self.index[0]), len(self.index)
+        if np.array_equal(self.index, np.arange(first, first + count)):
+            return self.stored[first : first + count]
+        copy = self.stored[self.index]
+        copy.flags.writeable = False
+        return copy
+
+    def row(self, technique: int, query: int) -> NDArray[np.float32]:
+        """(R,) scores of one technique on one query frame, a contiguous read-only view."""
+        view: NDArray[np.float32] = self.stored[self.index[technique], query]
+        return view
+
+    def prepared(self, candidates: int) -> PreparedRows:
+        """What SIC knows of each row, shared by all who use this bank with ``candidates`` = K."""
+        from amusic_gym.banks.rows import PreparedRows
+
+        with _preparing:
+            if candidates not in self._prepared:
+                self._prepared[candidates] = PreparedRows(self, candidates)
+            return self._prepared[candidates]
+
+    def check_finite(self) -> None:
+        """Read every score once.
+
+        Raises:
+            ValueError: at the first score that is NaN or +∞, naming technique and frame.
+        """
+        for technique, stored in zip(self.techniques, self.index, strict=True):
+            check_rows(technique, self.stored[stored])
+
+    # ---- views ---------------------------------------------------------------------------
+
+    def subset(self, names: Sequence[str]) -> ScoreBank:
+        """The same bank with the techniques ``names`` only, in that order.
+
+        Raises:
+            ValueError: for an unknown or repeated name.
+        """
+        chosen = check_names(names)
+        for name in chosen:
+            if name not in self.techniques:
+                raise ValueError(suggest("technique", name, self.techniques))
+        at = [self.techniques.index(name) for name in chosen]
+        view = self._view()
+        view.index = self.index[at]
+        view.techniques = chosen
+        view.seconds = _read_only(self.seconds[at])
+        view._given = (self._given[0], _read_only(self._given[1][at]))
+        view._prepared = {}
+        return view
+
+    def with_costs(self, model: str) -> ScoreBank:
+        """The same bank with the seconds of another cost model, one of `COST_MODELS`.
+
+        Raises:
+            ValueError: for an unknown model; for ``paper`` with a technique that the paper does
+                not time; for ``measured`` when the bank was built with other costs.
+        """
+        if model not in COST_MODELS:
+            raise ValueError(suggest("cost model", model, COST_MODELS))
+        view = self._view()
+        view.costs = model
+        given, seconds = self._given
+        if model == given:
+            view.seconds = seconds
+        elif model == "runs":
+            view.seconds = _read_only(np.ones(len(self.techniques)))
+        elif model == "paper":
+            view.seconds = paper_seconds(self.techniques)
+        else:
+            raise ValueError(
+                f"the bank holds the seconds of the cost model {given!r}, not measured ones; "
+                f"use costs {given!r} or 'runs', or build the bank with measured seconds"
+            )
+        return view
+
+    def _view(self) -> ScoreBank:
+        view = ScoreBank.__new__(ScoreBank)
+        view.__dict__.update(self.__dict__)  # the rows prepared so far are shared too
+        return view
+
+    # ---- disk and copies -----------------------------------------------------------------
+
+    @property
+    def folder(self) -> Path | None:
+        """Where :meth:`load` finds the same bank; None: nowhere, or it is a view of another."""
+        whole = np.array_equal(self.index, np.arange(len(self.stored)))
+        return self.path if whole and self.costs == self._given[0] else None
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], *, verify: bool = False) -> ScoreBank:
+        """Open a bank's folder; the scores are memory-mapped, not read.
+
+        Args:
+            path: the folder.
+            verify: also read all scores and compare their checksum.
+
+        Raises:
+            FileNotFoundError: when the folder or one of its files is missing.
+            ValueError: when it is damaged or from a newer format.
+        """
+        files = bank_files.read(Path(path), verify=verify)
+        bank = cls.__new__(cls)
+        try:
+            names = check_names([name for name, _ in files.techniques], len(files.scores))
+            bank._set(
+                files.scores,
+                names,
+                check_seconds([second for _, second in files.techniques], names),
+                files.tolerance,
+                files.truth,
+                files.name or files.path.name,
+                files.source,
+                files.costs,
+            )
+        except ValueError as error:
+            raise ValueError(f"bank {files.path}: {error}") from None
+        bank.path = files.path
+        bank._fingerprint = files.fingerprint
+        return bank
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the bank as a folder, whole or not at all; a bank that is there is replaced.
+
+        Returns:
+            The folder's absolute path.
+
+        Raises:
+            ValueError: when ``path`` is something other than a bank.
+            OSError: when writing fails; what was at ``path`` is still there then.
+        """
+        return bank_files.write(
+            Path(path),
+            scores=[self.stored[stored] for stored in self.index],
+            truth=self.truth,
+            techniques=list(zip(self.techniques, self.seconds.tolist(), strict=True)),
+            tolerance=self.tolerance,
+            name=self.name,
+            source=self.source,
+            costs=self.costs,
+        )
+
+    def __copy__(self) -> ScoreBank:
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> ScoreBank:
+        return self  # it does not change: copying a memory map would read it whole
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self.path is not None:
+            return _reload, (str(self.path), self._fingerprint, self.techniques, self.costs)
+        costs, seconds = self._given
+        options = {
+            "tolerance": self.tolerance,
+            "ground_truth": self.truth,
+            "name": self.name,
+            "source": self.source,
+            "costs": costs,
+        }
+        return _rebuild, (self.scores, self.techniques, seconds, options, self.costs)
+
+    def __repr__(self) -> str:
+        return (
+            f"ScoreBank({self.name!r}, techniques={self.techniques}, shape={self.shape}, "
+            f"tolerance={self.tolerance}, costs={self.costs!r}, path={str(self.path)!r})"
+        )
+
+
+def check_names(techniques: Sequence[str], count: int | None = None) -> tuple[str, ...]:
+    """``techniques`` as a tuple of different, usable names.
+
+    Args:
+        techniques: the names.
+        count: how many there must be; None: at least one.
+
+    Raises:
+        ValueError: for another number of names, or a name that is empty, repeated, or ambiguous
+            in a command's arguments.
+    """
+    if isinstance(techniques, str):
+        raise ValueError(f"techniques is the text {techniques!r}; give a list of names")
+    names = tuple(techniques)
+    if not names:
+        raise ValueError("no technique; give at least one")
+    if count is not None and len(names) != count:
+        raise ValueError(f"{len(names)} technique names for {count} score matrices")
+    for name in names:
+        if not isinstance(name, str) or not name.strip():
+            raise ValueError(f"technique name {name!r} is empty or not text; give it a name")
+        if name != name.strip() or not name.isprintable() or set(name) & set("+,:=/\\"):
+            raise ValueError(
+                f"technique name {name!r} holds one of + , : = / \\, a control character or "
+                "outer spaces, which commands and file names use; rename it"
+            )
+        if names.count(name) > 1:
+            raise ValueError(f"technique {name!r} is named twice; give each a name of its own")
+    return names
+
+
+def check_seconds(seconds: ArrayLike, techniques: Sequence[str]) -> NDArray[np.float64]:
+    """(T,) float64 seconds per run, refused unless there is a positive number per technique."""
+    try:
+        array = np.array(seconds, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"seconds are {seconds!r}; give one number per technique") from None
+    if array.shape != (len(techniques),):
+        raise ValueError(
+            f"seconds have shape {array.shape}; give one number for each of the "
+            f"{len(techniques)} techniques"
+        )
+    for name, value in zip(techniques, array, strict=True):
+        if not SHORTEST <= value <= LONGEST:
+            raise ValueError(
+                f"seconds of technique {name!r} are {value}; give a finite number above 0, from "
+                f"{SHORTEST:g} to {LONGEST:g}"
+            )
+    return _read_only(array)
+
+
+def paper_seconds(techniques: Sequence[str]) -> NDArray[np.float64]:
+    """(T,) seconds of the paper's techniques.
+
+    Raises:
+        ValueError: for a technique that the paper does not time.
+    """
+    by_name = {name.casefold(): seconds for name, seconds in PAPER_SECONDS.items()}
+    for name in techniques:
+        if name.casefold() not in by_name:
+            raise ValueError(
+                f"the paper gives no time for technique {name!r}, only for "
+                f"{', '.join(PAPER_SECONDS)}; use costs 'measured' or 'runs'"
+            )
+    return _read_only(np.array([by_name[name.casefold()] for name in techniques]))
+
+
+def check_rows(technique: str, rows: NDArray[np.float32], first: int = 0) -> None:
+    """Refuse score rows (n, R), of the frames from ``first`` on, with NaN or +∞.
+
+    Raises:
+        ValueError: naming technique, frame and place.
+    """
+    for frame, row in enumerate(rows, first):
+        if not (row < np.inf).all():
+            place = int(np.argmin(row < np.inf))
+            raise ValueError(
+                f"score of technique {technique!r} at frame {frame}, place {place} is "
+                f"{row[place]} (as float32); every score must be finite, or −∞ for a "
+                "place that is no candidate: compute that row again"
+            )
+
+
+def floored(rows: NDArray[Any]) -> NDArray[Any]:
+    """Rows (..., R) in which places that are no candidates have the row's lowest score; 0 if all.
+
+    For what ranks or draws rows and knows of no −∞; the same array where there is none.
+    """
+    masked = np.isneginf(rows)
+    if not masked.any():
+        return rows
+    lowest = np.where(masked, np.inf, rows).min(axis=-1, keepdims=True)
+    return np.where(masked, np.where(np.isposinf(lowest), 0, lowest), rows).astype(rows.dtype)
+
+
+def _as_scores(scores: ArrayLike) -> NDArray[np.float32]:
+    array = np.asarray(scores)
+    if array.ndim != 3 or array.size == 0:
+        raise ValueError(
+            f"scores have shape {array.shape}; give [technique, query, reference] with at least "
+            "one of each"
+        )
+    if array.dtype.kind not in "fiub":
+        raise ValueError(f"scores have dtype {array.dtype}; give real numbers")
+    mapped = isinstance(scores, np.memmap) and scores.mode == "r"
+    if mapped and array.dtype == np.float32 and array.flags.c_contiguous:
+        return array
+    return _read_only(as_float32(array))
+
+
+def as_float32(scores: NDArray[Any]) -> NDArray[np.float32]:
+    """A copy in float32; what is too large for it becomes NaN, not ±∞, and is refused as that."""
+    with np.errstate(over="ignore"):
+        kept: NDArray[np.float32] = np.array(scores, dtype=np.float32, order="C")
+    if scores.dtype != np.float32:
+        kept[np.isneginf(kept) & (scores > -np.inf)] = np.nan
+    return kept
+
+
+def _read_only(array: NDArray[_Number]) -> NDArray[_Number]:
+    array.flags.writeable = False
+    return array
+
+
+def _reload(path: str, fingerprint: str, techniques: tuple[str, ...], costs: str) -> ScoreBank:
+    bank = ScoreBank.load(path)
+    if bank._fingerprint != fingerprint:
+        raise ValueError(
+            f"the bank {path} was replaced by another one since it was pickled; load it anew"
+        )
+    if bank.techniques != techniques:
+        bank = bank.subset(techniques)
+    return bank if bank.costs == costs else bank.with_costs(costs)
+
+
+def _rebuild(
+    scores: NDArray[np.float32],
+    techniques: tuple[str, ...],
+    seconds: NDArray[np.float64],
+    options: dict[str, Any],
+    costs: str,
+) -> ScoreBank:
+    bank = ScoreBank(scores, techniques, seconds, **options)
+    return bank if costs == bank.costs else bank.with_costs(costs)

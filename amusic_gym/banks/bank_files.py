@@ -1,0 +1,281 @@
+"""A score bank's folder: ``scores.npy``, ``ground_truth.npz`` and ``bank.json``."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import zipfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from io import BufferedReader, BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.banks.ground_truth import GroundTruth, check_tolerance
+from amusic_gym.utils import storage
+from amusic_gym.utils.checks import number, whole
+
+FORMAT_VERSION = 1
+MANIFEST, SCORES, TRUTH = "bank.json", "scores.npy", "ground_truth.npz"
+
+FILES = frozenset((MANIFEST, SCORES, TRUTH))
+_MOST_MANIFEST, _MOST_HEADERS = 2**24, 2**16  # bytes; of ground_truth.npz beside its numbers
+_READ_ATTEMPTS = 20
+_REBUILD = "copy the bank again or build it anew with scripts/bank.py"
+
+
+@dataclass(frozen=True, eq=False)
+class BankFiles:
+    """What a bank's folder holds, checked against itself.
+
+    Attributes:
+        path: the folder, absolute.
+        scores: (T, Q, R) float32, read-only view of the memory-mapped file.
+        truth: Q queries, R references.
+        techniques: T pairs of name and seconds per run.
+        tolerance: places.
+        name: of the bank; may be empty.
+        source: where the scores come from.
+        costs: cost model of the seconds.
+        fingerprint: checksum of ``bank.json``, and by its checksums of the other files.
+    """
+
+    path: Path
+    scores: NDArray[np.float32]
+    truth: GroundTruth
+    techniques: list[tuple[str, float]]
+    tolerance: int
+    name: str
+    source: str
+    costs: str
+    fingerprint: str
+
+
+def write(
+    path: Path,
+    *,
+    scores: Iterable[NDArray[np.float32]],
+    truth: GroundTruth,
+    techniques: Sequence[tuple[str, float]],
+    tolerance: int,
+    name: str,
+    source: str,
+    costs: str,
+) -> Path:
+    """Write a bank's folder at ``path``, whole or not at all.
+
+    Args:
+        path: the folder to make, or the bank to replace.
+        scores: (rows, R) matrices that together are the T · Q rows, technique after technique;
+            each is written as it comes, so that memory need not hold them all.
+        truth: Q queries, R references.
+        techniques: T pairs of name and seconds.
+        tolerance: places.
+        name: of the bank.
+        source: where the scores come from.
+        costs: cost model of the seconds.
+
+    Returns:
+        The folder's absolute path.
+
+    Raises:
+        ValueError: when ``path`` is something other than a bank or in one, or rows are missing.
+        OSError: when writing fails; what was at ``path`` is still there then.
+    """
+    path = Path(os.path.realpath(path))
+    check_destination(path)
+    with storage.replacing_folder(path, MANIFEST, FILES) as folder:
+        _write_scores(folder / SCORES, scores, (len(techniques), truth.queries, truth.references))
+        np.savez(
+            folder / TRUTH,
+            indptr=truth.indptr,
+            places=truth.places,
+            references=np.int64(truth.references),
+        )
+        manifest: dict[str, Any] = {
+            "format_version": FORMAT_VERSION,
+            "name": name,
+            "source": source,
+            "techniques": [{"name": each, "seconds": seconds} for each, seconds in techniques],
+            "costs": costs,
+            "tolerance": tolerance,
+            "queries": truth.queries,
+            "references": truth.references,
+            "files": {file: _size_and_checksum(folder / file) for file in (SCORES, TRUTH)},
+        }
+        manifest["sha256"] = _checksum(manifest)
+        text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
+        (folder / MANIFEST).write_text(text, encoding="utf-8")
+    return path
+
+
+def refuse_within_bank(path: Path) -> None:
+    """Refuse to write to a bank's folder, or below it, anything but the bank.
+
+    Raises:
+        ValueError: naming the bank.
+    """
+    path = Path(os.path.realpath(path))
+    for folder in (path, *path.parents):
+        if (folder / MANIFEST).is_file() and (folder / SCORES).is_file():
+            raise ValueError(
+                f"{path} is in the folder of a score bank ({folder}), which holds nothing else;"
+                " give another place"
+            )
+
+
+def check_destination(path: Path) -> None:
+    """Refuse a path that :func:`write` would refuse, before long work is begun for it.
+
+    Raises:
+        ValueError: when it is something other than a bank, which must not be replaced, or in one.
+        OSError: when its folder cannot be made.
+    """
+    path = Path(os.path.realpath(path))
+    storage.refuse_to_replace_others(path, MANIFEST, FILES)
+    refuse_within_bank(path.parent)
+    path.parent.mkdir(parents=True, exist_ok=True)
+
+
+def read(path: Path, *, verify: bool) -> BankFiles:
+    """Read and check a bank's folder.
+
+    Args:
+        path: the folder.
+        verify: also compare the checksum of the scores, which reads them all.
+
+    Raises:
+        FileNotFoundError: when the folder or a file in it is missing.
+        ValueError: when it is damaged or from a newer format.
+    """
+    path = Path(os.path.realpath(path))
+    storage.restore_folder(path)
+    for _ in range(_READ_ATTEMPTS):
+        with storage.FolderReader(path) as folder:
+            try:
+                return _read_once(folder, verify)
+            except FileNotFoundError:
+                if not folder.was_replaced():  # else: once more, from the new one
+                    raise
+    raise ValueError(f"bank {path} is being rewritten all the time; load it when that is over")
+
+
+def _read_once(folder: storage.FolderReader, verify: bool) -> BankFiles:
+    path = folder.path
+    try:
+        manifest = _parse_manifest(path / MANIFEST, folder.read(MANIFEST, _MOST_MANIFEST))
+    except FileNotFoundError:
+        raise FileNotFoundError(
+            f"{path} has no {MANIFEST}, so it is not a whole bank; {_REBUILD}"
+        ) from None
+    try:
+        checksums = {name: str(manifest["files"][name]["sha256"]) for name in (SCORES, TRUTH)}
+        techniques = [
+            (each["name"], number("seconds", each["seconds"], "a number above 0"))
+            for each in manifest["techniques"]
+        ]
+        queries, references = (whole(key, manifest[key], 1) for key in ("queries", "references"))
+        tolerance = check_tolerance(manifest["tolerance"])
+        name, source, costs, fingerprint = (
+            str(manifest[key]) for key in ("name", "source", "costs", "sha256")
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{path / MANIFEST} lacks an entry or has a wrong one ({error}); {_REBUILD}"
+        ) from None
+    shape = (len(techniques), queries, references)
+    with folder.open(SCORES) as file:
+        scores = _map_scores(file, path / SCORES, shape)
+        if verify:
+            _compare(storage.sha256(file), path / SCORES, checksums[SCORES])
+    most = 8 * (queries + 2 + queries * references) + _MOST_HEADERS
+    content = folder.read(TRUTH, most)
+    _compare(hashlib.sha256(content).hexdigest(), path / TRUTH, checksums[TRUTH])
+    truth = _read_truth(content, path / TRUTH, shape)
+    return BankFiles(path, scores, truth, techniques, tolerance, name, source, costs, fingerprint)
+
+
+def _parse_manifest(path: Path, content: bytes) -> dict[str, Any]:
+    manifest: dict[str, Any] = storage.parse_json(content, path, _REBUILD)
+    version = manifest.get("format_version")
+    if not isinstance(version, int) or version < 1:
+        raise ValueError(f"{path} names no format version; {_REBUILD}")
+    if version > FORMAT_VERSION:
+        raise ValueError(
+            f"bank {path.parent} has format version {version}; it needs an amusic-gym that reads "
+            f"version {version} (this one reads up to {FORMAT_VERSION}): upgrade amusic-gym"
+        )
+    if manifest.get("sha256") != _checksum(manifest):
+        raise ValueError(f"{path} was damaged or edited: its checksum differs; {_REBUILD}")
+    return manifest
+
+
+def _checksum(manifest: dict[str, Any]) -> str:
+    rest = {key: value for key, value in manifest.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+
+
+def _size_and_checksum(path: Path) -> dict[str, Any]:
+    with path.open("rb") as file:
+        return {"bytes": path.stat().st_size, "sha256": storage.sha256(file)}
+
+
+def _write_scores(
+    path: Path, scores: Iterable[NDArray[np.float32]], shape: tuple[int, int, int]
+) -> None:
+    header = {
+        "descr": np.lib.format.dtype_to_descr(np.dtype("<f4")),
+        "fortran_order": False,
+        "shape": shape,
+    }
+    with path.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, header)
+        begin = file.tell()
+        for matrix in scores:
+            file.write(np.ascontiguousarray(matrix, "<f4").data.cast("B"))
+        written = file.tell() - begin
+    if written != 4 * math.prod(shape):
+        raise ValueError(f"{written} bytes of scores where shape {shape} needs others; give all")
+
+
+def _map_scores(
+    file: BufferedReader, path: Path, shape: tuple[int, int, int]
+) -> NDArray[np.float32]:
+    header = storage.read_npy_header(file, path)
+    if header.dtype != np.dtype("<f4") or header.fortran_order:
+        raise ValueError(
+            f"{path} holds {header.dtype} where float32 in C order is expected "
+            f"(pickled objects are never read); {_REBUILD}"
+        )
+    if header.shape != shape or 0 in shape:
+        raise ValueError(
+            f"{path} has shape {header.shape} where {MANIFEST} says {shape}; {_REBUILD}"
+        )
+    return np.memmap(file, header.dtype, "r", header.offset, header.shape).view(np.ndarray)
+
+
+def _read_truth(content: bytes, path: Path, shape: tuple[int, int, int]) -> GroundTruth:
+    try:
+        with zipfile.ZipFile(BytesIO(content)) as archive:
+            if any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist()):
+                raise ValueError("compressed, which no bank's is")
+        with np.load(BytesIO(content), allow_pickle=False) as arrays:
+            truth = GroundTruth(arrays["indptr"], arrays["places"], arrays["references"].item())
+    except Exception as error:  # a damaged zip raises nearly anything
+        raise ValueError(f"{path} cannot be read ({error}); {_REBUILD}") from None
+    if (truth.queries, truth.references) != shape[1:]:
+        raise ValueError(
+            f"{path} is for {truth.queries} queries and {truth.references} references where "
+            f"{MANIFEST} says {shape[1:]}; {_REBUILD}"
+        )
+    return truth
+
+
+def _compare(found: str, path: Path, checksum: str) -> None:
+    if found != checksum:
+        raise ValueError(f"{path} is damaged: its checksum differs; {_REBUILD}")

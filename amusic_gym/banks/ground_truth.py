@@ -1,0 +1,323 @@
+"""Which reference places are true for each query frame."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amusic_gym.utils.checks import whole
+
+LARGEST_TOLERANCE = 2**31 - 1
+"""Places; the compiled dynamics count no further."""
+
+
+@dataclass(frozen=True, eq=False)
+class GroundTruth:
+    """True places of each query, sparse: query q has ``places[indptr[q]:indptr[q + 1]]``.
+
+    A query may have no true place: every prediction for it is wrong, and it does not count among
+    the queries that recall can reach. Arrays are kept read-only.
+
+    Args:
+        indptr: (Q+1,) int64, where each query's places begin and end.
+        places: (P,) int64, rising within each query, in [0, ``references``).
+        references: R, places on the map.
+
+    Raises:
+        ValueError: for arrays that are not such a list.
+    """
+
+    indptr: NDArray[np.int64]
+    places: NDArray[np.int64]
+    references: int
+    # (P,) q * R + place: rising over all queries, so one search answers for many frames.
+    _keys: NDArray[np.int64] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        indptr = _integers(self.indptr, "ground truth indptr").copy()
+        places = _integers(self.places, "ground truth places").copy()
+        references = whole("references", self.references, 1)
+        if len(indptr) < 2:
+            raise ValueError("ground truth has no query; at least one is needed")
+        if indptr[0] != 0 or indptr[-1] != len(places) or np.any(np.diff(indptr) < 0):
+            raise ValueError(
+                f"ground truth indptr does not rise from 0 to {len(places)}, the number of places"
+            )
+        _check_range(places, 0, references, "true place")
+        queries = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))
+        keys = queries * references + places
+        if np.any(np.diff(keys) <= 0):
+            frame = int(queries[1:][np.diff(keys) <= 0][0])
+            raise ValueError(
+                f"ground truth of frame {frame} repeats a place or is unsorted; list each place "
+                "once, rising"
+            )
+        for array in (indptr, places, keys):
+            array.flags.writeable = False
+        object.__setattr__(self, "indptr", indptr)
+        object.__setattr__(self, "places", places)
+        object.__setattr__(self, "references", references)
+        object.__setattr__(self, "_keys", keys)
+
+    @classmethod
+    def from_matrix(cls, matrix: ArrayLike) -> GroundTruth:
+        """Ground truth from a (Q, R) boolean matrix, true where a place is right for a query."""
+        array = np.asarray(matrix)
+        if array.dtype != np.bool_ or array.ndim != 2:
+            raise ValueError(
+                f"ground truth has shape {array.shape} and dtype {array.dtype}; "
+                "give a boolean matrix [query, reference]"
+            )
+        queries, places = np.nonzero(array)
+        indptr = np.zeros(array.shape[0] + 1, np.int64)
+        np.cumsum(np.bincount(queries, minlength=array.shape[0]), out=indptr[1:])
+        return cls(indptr, places.astype(np.int64), array.shape[1])
+
+    @classmethod
+    def from_places(cls, centres: ArrayLike, tolerance: int, references: int) -> GroundTruth:
+        """Ground truth from one place per query, ± ``tolerance`` places, cut off at the map's ends.
+
+        Args:
+            centres: (Q,) integers in [0, R), or -1 for a query without a true place.
+            tolerance: places to either side that count as right.
+            references: R, places on the map.
+        """
+        middle = _integers(centres, "ground truth")
+        _check_range(middle, -1, references, "true place")
+        known = middle >= 0
+        return cls(np.append(0, np.cumsum(known)), middle[known], references).widened(tolerance)
+
+    @classmethod
+    def from_lists(cls, places: Sequence[ArrayLike], references: int) -> GroundTruth:
+        """Ground truth from the true places of each query, rising, on a map of ``references``."""
+        rows = [np.asarray(row, np.int64) for row in places]
+        return cls(
+            np.append(0, np.cumsum([len(row) for row in rows])), np.concatenate(rows), references
+        )
+
+    def widened(self, tolerance: int, parts: Sequence[int] = ()) -> GroundTruth:
+        """The same, and ``tolerance`` places to either side of each true one, on its own part.
+
+        Args:
+            tolerance: places.
+            parts: lengths of the parts that the map is joined of; by default it is one.
+        """
+        reach = min(check_tolerance(tolerance), self.references)
+        ends = np.cumsum(parts or [self.references])
+        part = np.searchsorted(ends, self.places, "right")
+        first = np.maximum(self.places - reach, np.append(0, ends)[part])
+        last = np.minimum(self.places + reach, ends[part] - 1)
+        count = last - first + 1
+        offsets = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        keys = np.unique(np.repeat(self._keys - self.places + first, count) + offsets)
+        indptr = np.searchsorted(keys, self.references * np.arange(self.queries + 1))
+        return GroundTruth(indptr, keys % self.references, self.references)
+
+    def with_tolerance(self, tolerance: int, parts: Sequence[int] = ()) -> GroundTruth:
+        """The same widened by a tolerance, unless its places are ranges of that tolerance already.
+
+        Raises:
+            ValueError: for ranges of another tolerance: were these to be widened, or replaced?
+        """
+        runs, own = self._runs(), self.half_run()
+        if own == check_tolerance(tolerance):
+            return self
+        if runs.max() > 1:
+            raise ValueError(
+                f"tolerance is {tolerance}, but the ground truth lists neighbouring places itself "
+                f"(a run of {runs.max()} at frame {runs.argmax()}), which stand for {own}; leave "
+                "the tolerance out, or list the middle of each range only"
+            )
+        return self.widened(tolerance, parts)
+
+    @property
+    def queries(self) -> int:
+        """Q, frames of the query traverse."""
+        return len(self.indptr) - 1
+
+    @property
+    def has_place(self) -> NDArray[np.bool_]:
+        """(Q,) whether the query has a true place at all."""
+        return np.diff(self.indptr) > 0
+
+    def correct(self, predictions: ArrayLike, frames: ArrayLike | None = None) -> NDArray[np.bool_]:
+        """Whether each predicted place is a true one; -1 (no prediction) never is.
+
+        Args:
+            predictions: (n,) places in [0, R), or -1.
+            frames: (n,) the query frame of each; None: one prediction for every frame in order.
+
+        Returns:
+            (n,) boolean.
+        """
+        places, queries = self._pairs(predictions, frames)
+        if not len(self._keys):
+            return np.zeros(len(places), np.bool_)
+        keys = queries * self.references + places
+        found = self._keys[np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)]
+        right: NDArray[np.bool_] = (found == keys) & (places >= 0)
+        return right
+
+    def is_true(self, place: int, frame: int) -> bool:
+        """Whether one place in [0, R), or −1 for none, is true for a frame; as :meth:`correct`."""
+        end = int(self.indptr[frame + 1])
+        at = bisect_left(self.places, place, int(self.indptr[frame]), end)
+        return at < end and bool(self.places[at] == place)
+
+    def distance(
+        self, predictions: ArrayLike, frames: ArrayLike | None = None
+    ) -> NDArray[np.float64]:
+        """Places from each prediction to the nearest true place.
+
+        Args:
+            predictions: (n,) places in [0, R), or -1.
+            frames: (n,) the query frame of each; None: one prediction for every frame in order.
+
+        Returns:
+            (n,) float64: R where there is no prediction; nan where the query has no true place.
+        """
+        places, queries = self._pairs(predictions, frames)
+        result = np.full(len(places), np.nan)
+        begin, end = self.indptr[queries], self.indptr[queries + 1]
+        known = end > begin
+        places, queries, begin, end = places[known], queries[known], begin[known], end[known]
+        # The true places on either side; at a query's first or last one, both are the same.
+        at = np.searchsorted(self._keys, queries * self.references + np.maximum(places, 0))
+        below = self.places[np.clip(at - 1, begin, end - 1)]
+        above = self.places[np.clip(at, begin, end - 1)]
+        gap = np.minimum(np.abs(places - below), np.abs(above - places))
+        result[known] = np.where(places < 0, self.references, gap)
+        return result
+
+    def matrix(self) -> NDArray[np.bool_]:
+        """(Q, R) boolean, true where a place is right for a query."""
+        matrix = np.zeros((self.queries, self.references), np.bool_)
+        matrix[np.repeat(np.arange(self.queries), np.diff(self.indptr)), self.places] = True
+        return matrix
+
+    def half_run(self) -> int:
+        """Half the median length, in places, of the queries' longest runs of true neighbours.
+
+        Not of their span: a place visited twice is true at both visits, far apart.
+        """
+        runs = self._runs()
+        return int(np.median(runs[runs > 0]) / 2) if runs.any() else 0
+
+    def _runs(self) -> NDArray[np.int64]:
+        """(Q,) length of each query's longest run of neighbouring true places."""
+        query_of = np.repeat(np.arange(self.queries), np.diff(self.indptr))
+        begins = (np.diff(self.places, prepend=-2) != 1) | (np.diff(query_of, prepend=-1) != 0)
+        first = np.flatnonzero(begins)
+        longest = np.zeros(self.queries, np.int64)
+        np.maximum.at(longest, query_of[first], np.diff(first, append=len(self.places)))
+        return longest
+
+    def _pairs(
+        self, predictions: ArrayLike, frames: ArrayLike | None
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        places = _integers(predictions, "predictions")
+        _check_range(places, -1, self.references, "predicted place")
+        queries = np.arange(self.queries) if frames is None else _integers(frames, "frames")
+        if len(places) != len(queries):
+            raise ValueError(f"{len(places)} predictions for {len(queries)} frames; give one each")
+        _check_range(queries, 0, self.queries, "frame")
+        return places, queries
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return GroundTruth, (self.indptr, self.places, self.references)
+
+
+def resolve_ground_truth(
+    ground_truth: ArrayLike | GroundTruth | None,
+    tolerance: int | None,
+    queries: int,
+    references: int,
+    parts: Sequence[int] = (),
+) -> tuple[GroundTruth, int]:
+    """The ground truth and the tolerance of a bank, from the forms in which users have them.
+
+    Args:
+        ground_truth: None (query q is at place q, of as many) | (Q, R) boolean | (Q,) integer
+            centres, -1 for none | GroundTruth, which stays as it is.
+        tolerance: places to either side of a centre that are right; with a matrix, see
+            :meth:`GroundTruth.with_tolerance`. None only where the true places themselves are
+            given: then :meth:`GroundTruth.half_run`.
+        queries: Q.
+        references: R.
+        parts: see :meth:`GroundTruth.widened`.
+
+    Raises:
+        ValueError: for ground truth of another shape or range, or a missing tolerance.
+    """
+    if tolerance is not None:
+        tolerance = check_tolerance(tolerance)
+    if ground_truth is None:
+        if queries != references:
+            raise ValueError(
+                f"{queries} queries on a map of {references} places: which place is true for "
+                "which? give ground_truth (--ground-truth) as one place per query, as a boolean "
+                "matrix, or as a list of pairs (scores have a column per place, unlike descriptors)"
+            )
+        ground_truth = np.arange(queries)
+    if not isinstance(ground_truth, GroundTruth):
+        ground_truth = np.asarray(ground_truth)
+        _check_shape(ground_truth.shape, queries, references)
+        if ground_truth.ndim == 2:
+            ground_truth = GroundTruth.from_matrix(ground_truth)
+            if tolerance is not None:
+                ground_truth = ground_truth.with_tolerance(tolerance, parts)
+        elif tolerance is None:
+            raise ValueError(
+                "tolerance is missing; give tolerance=N, the places to either side of the true "
+                "one that count as right, or a boolean ground truth matrix"
+            )
+        else:
+            ground_truth = GroundTruth.from_places(ground_truth, 0, references)
+            ground_truth = ground_truth.widened(tolerance, parts)
+    _check_shape((ground_truth.queries, ground_truth.references), queries, references)
+    return ground_truth, ground_truth.half_run() if tolerance is None else tolerance
+
+
+def check_tolerance(value: Any) -> int:
+    """A tolerance in places as int.
+
+    Raises:
+        ValueError: for anything but a whole number from 0 to ``LARGEST_TOLERANCE``.
+    """
+    if whole("tolerance", value, 0) > LARGEST_TOLERANCE:
+        raise ValueError(f"tolerance is {value}; give at most {LARGEST_TOLERANCE} places")
+    return int(value)
+
+
+def _check_shape(shape: tuple[int, ...], queries: int, references: int) -> None:
+    if shape not in ((queries,), (queries, references)):
+        raise ValueError(
+            f"ground truth has shape {shape}, but the scores have {queries} queries and "
+            f"{references} references; give shape ({queries}, {references}) or ({queries},) "
+            "(scores have a column per place, unlike descriptors)"
+        )
+
+
+def _check_range(values: NDArray[np.int64], low: int, end: int, what: str) -> None:
+    outside = (values < low) | (values >= end)
+    if outside.any():
+        index = int(np.argmax(outside))
+        none = " (-1: none)" if low < 0 else ""
+        raise ValueError(
+            f"{what} {values[index]} (entry {index}) is out of range; valid: {low} to "
+            f"{end - 1}{none}"
+        )
+
+
+def _integers(values: ArrayLike, what: str) -> NDArray[np.int64]:
+    array = np.asarray(values)
+    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
+        raise ValueError(
+            f"{what} has shape {array.shape} and dtype {array.dtype}; give a list of integers"
+        )
+    return array.astype(np.int64)

@@ -1,0 +1,1 @@
+"""The Gymnasium environments, single and vector, and where their routes come from."""

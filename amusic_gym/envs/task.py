@@ -1,0 +1,371 @@
+"""The task under the single and the vector environment: spaces, routes, rewards, infos.
+
+Both environments hold a :class:`Task`, the single one with a batch of one, so that there is one
+implementation of everything but Gymnasium's two calling conventions.
+"""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import math
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+from amusic_gym.envs.episode import Episodes, Route
+from amusic_gym.envs.infos import Infos, Terms, batch_infos, single_info
+from amusic_gym.envs.live_route import ENDLESS
+from amusic_gym.envs.rewards import Reward, RewardInputs, as_reward, estimated, trade
+from amusic_gym.envs.sources import BankLike, Recording, RouteSource, as_source, columns_for
+from amusic_gym.estimation.observation import bounds
+from amusic_gym.estimation.records import RESULT, Outcome
+from amusic_gym.estimation.settings import COVERAGE, SICSettings
+from amusic_gym.utils.checks import flag, number, whole
+from amusic_gym.utils.names import suggest
+
+if TYPE_CHECKING:
+    from amusic_gym.envs.pictures.viewer import Viewer
+
+RESET_OPTIONS = ("bank", "start", "compute_weight")
+RENDER_MODES = ("ansi", "rgb_array", "rgb_array_list", "human")
+RENDER_FPS = 10
+"""Frames per second of videos, and the most that the window of "human" shows."""
+
+_FRAME, _ENDED, _P_CORRECT, _COMPUTE, _COMPUTE_WEIGHT = (
+    list(RESULT.names or ()).index(name)
+    for name in ("frame", "ended", "p_correct", "compute", "compute_weight")
+)
+
+
+class Task:
+    """Technique selection on a batch of N routes.
+
+    Args:
+        num_routes: N.
+        bank: folder, :class:`~amusic_gym.banks.bank.ScoreBank`,
+            :class:`~amusic_gym.envs.live_route.LiveRoute`, list of these, a
+            :class:`~amusic_gym.envs.sources.RouteSource`, or None for simulated routes such as the
+            statistic is made for.
+        statistic: ``"belief"``, or SIC's ``"evidence"`` or ``"mean"``
+            (:mod:`amusic_gym.estimation.settings`).
+        candidates: K.
+        history: F.
+        gamma: weight of a row per frame of age.
+        carry: whether places are carried on as candidates; None: with ``"evidence"``.
+        discount: whether MuSIC discounts alike rows; None: with ``"evidence"``.
+        compute_weight: λ, or a range from which every episode draws it on a logarithmic scale.
+        reselection: M, the block of the re-select bit; None: no such bit.
+        coverage: E of the re-selection.
+        allow_idle: whether an empty action runs nothing.
+        slots: S, to train ensembles of different size together; None: the banks' technique count.
+        episode_length: frames after which an episode is truncated; None: never.
+        random_start: whether episodes begin anywhere on the route.
+        costs: cost model of given banks: ``"measured"``, ``"paper"`` or ``"runs"``.
+        reward: ``"estimated"``, ``"ground_truth"`` or a callable (:mod:`amusic_gym.envs.rewards`).
+        threads: of this process that step the routes with ``belief``, each a share of them. The
+            results are the same for any number; more than one pay with many routes.
+        render_mode: ``"ansi"`` (a line of text), ``"rgb_array"`` (a picture), ``"rgb_array_list"``
+            (pictures of all steps), ``"human"`` (a window, which needs pygame) or None.
+
+    Raises:
+        ValueError: for any argument out of range, with the valid ones.
+    """
+
+    def __init__(
+        self,
+        num_routes: int,
+        bank: BankLike | Sequence[BankLike] | RouteSource | None = None,
+        *,
+        statistic: str = SICSettings.statistic,
+        candidates: int = SICSettings.candidates,
+        history: int = SICSettings.history,
+        gamma: float = SICSettings.gamma,
+        carry: bool | None = SICSettings.carry,
+        discount: bool | None = SICSettings.discount,
+        compute_weight: float | tuple[float, float] = 1.0,
+        reselection: int | None = None,
+        coverage: float = COVERAGE,
+        allow_idle: bool = False,
+        slots: int | None = None,
+        episode_length: int | None = None,
+        random_start: bool = False,
+        costs: str = "measured",
+        reward: str | Reward = "estimated",
+        threads: int = 1,
+        render_mode: str | None = None,
+        **unknown: Any,
+    ) -> None:
+        for name in unknown:
+            valid = [known for known in inspect.signature(Task).parameters if known != "num_routes"]
+            raise ValueError(suggest("environment argument", name, valid[:-1]))
+        num_routes = whole("num_envs", num_routes, 1)
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise ValueError(suggest("render mode", render_mode, RENDER_MODES))
+        self.settings = SICSettings(statistic, candidates, history, gamma, carry, discount)
+        self.source = as_source(
+            bank, costs=costs, aligned=slots is None, statistic=self.settings.statistic
+        )
+        self.slots = self._count("slots", slots, least=self.source.slots) or self.source.slots
+        self.episode_length = self._count("episode_length", episode_length, least=1)
+        block = self._count("reselection", reselection, least=1) or 0
+        if not 0.0 < number("coverage (E)", coverage, "a number in (0, 1]") <= 1.0:
+            raise ValueError(f"coverage (E) is {coverage}; give a number in (0, 1]")
+        self.random_start = flag("random_start", random_start)
+        self.compute_weights = self._weight_range(compute_weight)
+        self.reward = as_reward(reward)
+        self.episodes = Episodes(
+            num_routes,
+            self.slots,
+            self.settings,
+            reselection=block,
+            coverage=coverage,
+            allow_idle=flag("allow_idle", allow_idle),
+            threads=whole("threads", threads, 1),
+        )
+        self.block = block
+        self.observation_space = spaces.Box(*bounds(self.slots), dtype=np.float32)
+        self.action_space = spaces.MultiBinary(self.episodes.action_size)
+
+    @staticmethod
+    def _count(name: str, value: int | None, *, least: int) -> int | None:
+        return None if value is None else whole(name, value, least, ", or None")
+
+    @staticmethod
+    def _weight_range(weight: Any) -> tuple[float, float]:
+        wanted = "a number >= 0, or (low, high) with 0 < low <= high"
+        ends = list(weight) if isinstance(weight, tuple | list) else [weight, weight]
+        if len(ends) != 2:
+            raise ValueError(f"compute_weight is {weight!r}; give {wanted}")
+        low, high = (number("compute_weight", end, wanted) for end in ends)
+        if not 0.0 <= low <= high or (low == 0.0 < high):
+            raise ValueError(f"compute_weight is {weight!r}; give {wanted}")
+        return low, high
+
+    # --- episodes -------------------------------------------------------------------------------
+
+    def begin(
+        self, i: int, rng: np.random.Generator, options: Mapping[str, Any] | None = None
+    ) -> None:
+        """Begin an episode on route ``i``, drawn with its own generator.
+
+        Args:
+            i: number of the route in the batch.
+            rng: the route's generator.
+            options: any of ``bank`` (number in the list), ``start`` (query of the first frame)
+                and ``compute_weight``, of this episode only.
+
+        Raises:
+            ValueError: for an unknown option or a value out of range.
+        """
+        given = self._options(options)
+        bank, index = self.source.sample(rng, given.get("bank"))
+        start = self._start(bank, rng, given.get("start"))
+        weight = given.get("compute_weight")
+        low, high = self.compute_weights if weight is None else self._weight_range(float(weight))
+        if low < high:
+            low = math.exp(rng.uniform(math.log(low), math.log(high)))
+        columns = columns_for(bank, self.source.techniques, self.slots)
+        frames = ENDLESS if bank.queries is None else bank.queries - start
+        self.episodes.begin(i, Route(bank, start, frames, columns, low, index))
+
+    def _start(self, bank: Recording, rng: np.random.Generator, start: int | None) -> int:
+        """Query of the first frame: the one given, a drawn one, or the first."""
+        if bank.queries is None:
+            if start:
+                raise ValueError(
+                    f"start is {start}; {bank.name!r} does not know its length and begins at 0"
+                )
+            return 0
+        if start is None:
+            last = bank.queries - min(self.episode_length or 1, bank.queries)
+            start = int(rng.integers(last + 1)) if self.random_start else 0
+        if not 0 <= start < bank.queries:
+            raise ValueError(f"start is {start}; bank {bank.name!r} has {bank.queries} queries")
+        return start
+
+    @staticmethod
+    def _options(options: Mapping[str, Any] | None) -> dict[str, Any]:
+        given: dict[str, Any] = {}
+        for name, value in (options or {}).items():
+            if name not in RESET_OPTIONS:
+                raise ValueError(suggest("reset option", name, RESET_OPTIONS))
+            if np.ndim(value):
+                raise ValueError(
+                    f"reset option {name} is {value!r}; give one number: one entry per route is for"
+                    " the native vector environment, gymnasium.make_vec(...)"
+                )
+            try:
+                given[name] = float(value) if name == "compute_weight" else operator.index(value)
+            except (TypeError, ValueError):
+                kind = "number" if name == "compute_weight" else "whole number"
+                raise ValueError(f"reset option {name} is {value!r}; give a {kind}") from None
+        return given
+
+    def check_actions(self, actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """Actions as booleans; values are checked, not the dtype.
+
+        Args:
+            actions: of one route or of all.
+            shape: (A,) or (N, A), what they must have.
+
+        Raises:
+            ValueError: for a wrong shape or any value but 0 and 1.
+        """
+        given = np.asarray(actions)
+        if given.shape != shape:
+            raise ValueError(f"action of shape {given.shape}; the action space has {shape}")
+        if given.dtype.char in "?bB":  # bytes: stripped of 0 and 1, nothing is left
+            valid = not given.tobytes().strip(b"\0\1")
+        else:
+            valid = bool(((given == 0) | (given == 1)).all())
+        if not valid:
+            wrong = given[(given != 0) & (given != 1)][0]
+            raise ValueError(f"action value {wrong}; {self.action_space} takes 0 and 1 only")
+        return given.astype(np.bool_)
+
+    def step(
+        self, actions: NDArray[np.bool_], active: NDArray[np.bool_] | None = None
+    ) -> tuple[Outcome, NDArray[np.float64], Terms]:
+        """One frame of the active routes, or of all: run techniques, correct, fuse, reward.
+
+        Returns:
+            Outcome, rewards and their terms, all with leading N; 0 where no frame was processed.
+        """
+        out = self.episodes.step(actions, active)
+        terms = self._terms(out)
+        if active is not None or self.episodes.is_live:  # a source may have ended
+            kept = self.episodes.stepped
+            terms = {name: np.where(kept, term, 0.0) for name, term in terms.items()}
+        return out, sum(terms.values(), np.zeros(self.episodes.num_routes)), terms
+
+    def step_one(self, actions: NDArray[np.bool_]) -> tuple[Outcome, float, bool, bool, Infos]:
+        """As :meth:`step` and :meth:`ends` of a batch of one, in Python's numbers, with its infos.
+
+        The reward that an environment has by default is not worth NumPy's arrays of one.
+        """
+        if self.reward is estimated and not self.episodes.is_live:
+            out = self.episodes.step(actions)
+            result = out.first()
+            terms = trade(result[_P_CORRECT], result[_COMPUTE], result[_COMPUTE_WEIGHT])
+            reward = sum(terms.values())
+        else:
+            out, rewards, arrays = self.step(actions)
+            result, reward = out.first(), rewards.item()
+            terms = {name: term.item() for name, term in arrays.items()}
+        terminated = result[_ENDED]
+        truncated = self._late(result[_FRAME]) and not terminated
+        return out, reward, terminated, truncated, single_info(out, result, terms)
+
+    def ends(self, out: Outcome) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """(N,) whether each route has terminated, and whether it was truncated."""
+        routes = out.routes
+        terminated = routes["ended"].copy()
+        if self.episode_length is None:
+            return terminated, np.zeros_like(terminated)
+        return terminated, self._late(routes["frame"]) & ~terminated
+
+    def _late(self, frame: Any) -> Any:
+        """Whether a frame, or each of several, is the last that an episode may have."""
+        return frame + 1 >= (self.episode_length or ENDLESS)
+
+    def _terms(self, out: Outcome, correct: Callable[[], NDArray[np.bool_]] | None = None) -> Terms:
+        """Terms of the reward by name, each (N,); a single number holds for all routes."""
+        weights = out.routes["compute_weight"]
+        terms = self.reward(RewardInputs(out, weights, correct or partial(self.correct, out)))
+        if not isinstance(terms, Mapping) or not terms:
+            raise ValueError(
+                f"the reward gave {terms!r}; let it return named terms, for example {{'mine': ...}}"
+            )
+        return {name: self._per_route(term) for name, term in terms.items()}
+
+    def _per_route(self, term: ArrayLike) -> NDArray[np.float64]:
+        """A term as an array (N,) of its own."""
+        values = np.array(term, np.float64)  # a copy
+        shape = (self.episodes.num_routes,)
+        return values if values.shape == shape else np.array(np.broadcast_to(values, shape))
+
+    def correct(self, out: Outcome) -> NDArray[np.bool_]:
+        """(N,) whether the predictions are true places."""
+        correct = np.zeros(self.episodes.num_routes, np.bool_)
+        places, frames = out.routes["prediction"].tolist(), out.routes["frame"].tolist()
+        for i, route in enumerate(self.episodes.routes):
+            if route is None or places[i] < 0:
+                continue
+            if route.bank.truth is None:
+                raise ValueError(
+                    f"live route {route.bank.name!r} has no ground truth, which the reward asks"
+                    " for; give it ground_truth, or take reward='estimated'"
+                )
+            correct[i] = route.bank.truth.is_true(places[i], route.start + frames[i])
+        return correct
+
+    def repeated(self, copies: int) -> Task:
+        """A task whose routes stand ``copies`` times in a row, each as it is now."""
+        twin = copy.copy(self)
+        twin.episodes = self.episodes.repeated(copies)
+        return twin
+
+    # --- infos ----------------------------------------------------------------------------------
+
+    def begun_infos(self, out: Outcome, mask: NDArray[np.bool_]) -> Infos:
+        """Infos of a batch before the first step of the routes of a mask (N,)."""
+        return batch_infos(out, self._no_terms(out), mask)
+
+    def begun_info(self, out: Outcome) -> Infos:
+        """Infos of a batch of one before its first step, as a single environment gives them."""
+        terms = {name: term.item() for name, term in self._no_terms(out).items()}
+        return single_info(out, out.first(), terms)
+
+    def _no_terms(self, out: Outcome) -> Terms:
+        """Zeros in place of a reward's terms, before the first step."""
+        zeros = np.zeros(self.episodes.num_routes)
+        terms = self._terms(out, lambda: zeros.astype(np.bool_))
+        return {name: np.zeros_like(zeros) for name in terms}
+
+    def render(self, mode: str | None, viewer: Viewer | None) -> tuple[Any, ...] | None:
+        """What each route shows in a render mode; None for a mode that returns nothing."""
+        if viewer is not None:
+            return viewer.shown()
+        routes = range(self.episodes.num_routes)
+        return tuple(map(self.describe, routes)) if mode == "ansi" else None
+
+    def describe(self, i: int) -> str:
+        """One line on route ``i``, for ``render_mode="ansi"``."""
+        route, record = self.episodes.routes[i], self.episodes.state.routes[i]
+        if route is None:
+            return "no route yet; call reset first"
+        slots = self.episodes.state.slots[i]
+        ran = [
+            route.bank.techniques[t]
+            for t, slot in zip(route.columns, slots, strict=True)
+            if t >= 0 and slot["ran"]
+        ]
+        length = "" if record["frames"] == ENDLESS else f"/{record['frames']}"
+        return (
+            f"{route.bank.name} frame {record['frame'] + 1}{length}:"
+            f" place {record['prediction']}, confidence {record['confidence']:.2f},"
+            f" p {record['p_correct']:.2f}, ran {' + '.join(ran) or 'nothing'}"
+        )
+
+
+def as_seed(seed: int | None) -> int | None:
+    """A seed that Gymnasium takes: Python's or NumPy's whole numbers from 0.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    if seed is None:
+        return None
+    try:
+        number = operator.index(seed)
+    except TypeError:
+        number = -1
+    if number < 0:
+        raise ValueError(f"seed is {seed!r}; give a whole number >= 0")
+    return number

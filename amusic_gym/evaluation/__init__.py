@@ -1,0 +1,1 @@
+"""What policies come to: traces, metrics, comparisons, studies, figures and pages."""

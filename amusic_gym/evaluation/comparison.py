@@ -1,0 +1,442 @@
+"""Policies against each other on the same routes: rows, traces and figures in one folder.
+
+Every finished row is kept at once, so that a comparison which was stopped or killed goes on where
+it was. Which policies there are is the caller's to say: this package knows none by name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+from amusic_gym import __version__
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.bank_files import refuse_within_bank
+from amusic_gym.estimation.settings import SICSettings, statistic_label
+from amusic_gym.evaluation import comparison_files, metrics
+from amusic_gym.evaluation.audit import Audit, audit, parting
+from amusic_gym.evaluation.marks import footnote, marked
+from amusic_gym.evaluation.report import ReportFigure
+from amusic_gym.evaluation.rollout import rollout
+from amusic_gym.policies.protocol import Context, Correction, Policy
+from amusic_gym.policies.trace import Trace
+from amusic_gym.utils.checks import whole
+from amusic_gym.utils.imports import PACKAGE
+from amusic_gym.utils.storage import keep_only
+
+COMPUTE_WEIGHTS = (0.01, 0.05, 0.15, 0.3, 0.6, 1.0, 2.0, 6.0)
+"""The compute weights λ that a policy which reads λ is run with where none are named."""
+
+MOST_TECHNIQUES = 6
+"""Up to so many techniques all their subsets can be compared: 63 of them."""
+
+ROWS, TRACES, RESULTS = "rows", "traces", "results.json"
+
+MOST_CURVES = 16  # more traces than these in a figure of curves: subsets are left out
+MOST_PANELS = 8  # traces in a figure of selections
+ALWAYS_THE_SAME = (  # policies whose runs are known before the route
+    *("raw", "single", "subset", "music", "periodic"),
+    *("mpf", "hmpf", "dynmpf", "plurality", "borda", "hmm"),
+)
+
+Report = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A policy in a comparison.
+
+    Attributes:
+        name: of the policy in tables and files.
+        make: builds it, afresh for every row.
+        compute_weights: the λ that it is run with, one row each; None: it has no such thing.
+        version: what its behaviour depends on besides its name: a digest of its weights or code.
+        needs_truth: of what it needs ground truth, if it does; tables say so.
+    """
+
+    name: str
+    make: Callable[[Context], Policy]
+    compute_weights: tuple[float | None, ...] = (None,)
+    version: str = ""
+    needs_truth: str = ""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What came out: one trace and one row for each policy, λ and bank.
+
+    Attributes:
+        traces: in the order of the banks, then of the policies.
+        rows: of ``results.json``, in the same order.
+        mean: the rows averaged over banks, of those (policy, λ, statistic, carry) that every
+            bank has.
+        needs_truth: name of a policy → of what it needs ground truth.
+    """
+
+    traces: list[Trace]
+    rows: list[dict[str, Any]]
+    mean: list[dict[str, Any]]
+    needs_truth: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """One row to be: a policy with one λ on one bank."""
+
+    contestant: Contestant
+    context: Context
+    compute_weight: float | None
+    key: comparison_files.Key
+
+    def run(self) -> Trace:
+        return rollout(
+            self.contestant.make(self.context),
+            self.context.bank,
+            name=self.contestant.name,
+            statistic=self.context.statistic,
+            carry=self.context.carry,
+            discount=self.context.discount,
+            compute_weight=self.compute_weight,
+        )
+
+
+def compare(
+    banks: Sequence[ScoreBank],
+    contestants: Callable[[ScoreBank], Sequence[Contestant]],
+    out: str | Path,
+    *,
+    statistic: str = SICSettings.statistic,
+    carry: bool | None = None,
+    discount: bool | None = None,
+    seed: int = 0,
+    report: Report = print,
+) -> Comparison:
+    """Run every contestant on every bank; write rows, traces and ``results.json`` to ``out``.
+
+    Rows that are finished in ``out`` already are not run again; traces of an earlier comparison
+    that has others than this one go. Nothing runs before every policy
+    has been built once, so that a wrong name is refused at once.
+
+    Args:
+        banks: the routes, with the costs to reckon with. A name that several share is numbered.
+        contestants: the policies for a bank.
+        out: the folder; made if it is not there.
+        statistic: SIC's, for every policy that does not bring its own.
+        carry: whether places are carried on as candidates, likewise; None: as the statistic has it.
+        discount: whether MuSIC discounts alike rows, likewise; None: as the statistic has it.
+        seed: for policies that draw.
+        report: is given one line per finished row.
+
+    Raises:
+        ValueError: for no bank, no policy, banks with different cost models, a policy that does
+            not fit a bank, or an ``out`` in the folder of a bank.
+    """
+    check_banks(banks)
+    whole("seed", seed, 0)
+    chosen = {"statistic": statistic, "carry": carry, "discount": discount}
+    names = distinct([bank.name or "bank" for bank in banks], taken=("mean",))
+    entries = [
+        entry
+        for bank, name in zip(banks, names, strict=True)
+        for entry in _entries(_renamed(bank, name), contestants, chosen, seed)
+    ]
+    if not entries:
+        raise ValueError("no policy to compare; give at least one")
+    out = Path(out)
+    refuse_within_bank(out)
+    files = [out / TRACES / f"{stem}.csv" for stem in distinct([_stem(e) for e in entries])]
+    traces, rows = [], []
+    for number, (entry, file) in enumerate(zip(entries, files, strict=True), 1):
+        trace, row, kept = _finish(entry, out / ROWS, report)
+        trace.write_csv(file)
+        traces.append(trace)
+        rows.append(row)
+        report(f"[{number}/{len(entries)}] {_line(row)}{' (was finished)' if kept else ''}")
+    mean = metrics.mean_rows(_shared(rows))
+    comparison_files.save_results(out / RESULTS, rows, mean)
+    keep_only(out, "traces", files)
+    made = [entry.contestant for entry in entries]
+    return Comparison(traces, rows, mean, {c.name: c.needs_truth for c in made if c.needs_truth})
+
+
+def check_banks(banks: Sequence[ScoreBank]) -> None:
+    """Refuse banks that cannot be compared on.
+
+    Raises:
+        ValueError: for no bank, or banks with different cost models.
+    """
+    if not banks:
+        raise ValueError("no score bank to compare on; give at least one")
+    costs = list(dict.fromkeys(bank.costs for bank in banks))
+    if len(costs) > 1:
+        raise ValueError(
+            f"the banks reckon with different costs ({', '.join(costs)}), which have no common "
+            "mean; choose one cost model that all have, for example 'runs'"
+        )
+
+
+def _entries(
+    bank: ScoreBank,
+    contestants: Callable[[ScoreBank], Sequence[Contestant]],
+    chosen: Mapping[str, Any],
+    seed: int,
+) -> list[_Entry]:
+    """The rows of one bank; builds each policy once to see that it can be built."""
+    context = Context.of(bank, seed=seed, **chosen)
+    identity = comparison_files.bank_identity(bank)
+    code = comparison_files.code_digest(PACKAGE)
+    entries = []
+    chosen_ones = dict.fromkeys(contestants(bank))
+    try:
+        made = [(each, each.make(context)) for each in chosen_ones]
+    except ValueError as error:
+        raise ValueError(f"bank {bank.name!r}: {error}") from error
+    for contestant, policy in made:
+        own = Correction.under(policy, **chosen)
+        for weight in dict.fromkeys(contestant.compute_weights):
+            key = {
+                "bank": bank.name,
+                "bank_identity": identity,
+                "policy": contestant.name,
+                "policy_version": contestant.version,
+                "compute_weight": weight,
+                **own._asdict(),
+                "costs": bank.costs,
+                "seed": seed,
+                "package_version": __version__,
+                "package_code": code,
+            }
+            entries.append(_Entry(contestant, context, weight, key))
+    return entries
+
+
+def _finish(entry: _Entry, folder: Path, report: Report) -> tuple[Trace, dict[str, Any], bool]:
+    """The entry's trace and row, and whether it was there already."""
+    try:
+        trace = comparison_files.load_row(folder, entry.key, entry.context.bank)
+    except ValueError as error:
+        report(f"{error}: computed again")
+        trace = None
+    if trace is not None:
+        return trace, metrics.summarise(trace), True
+    trace = entry.run()
+    row = metrics.summarise(trace)
+    comparison_files.save_row(folder, entry.key, trace, row)
+    return trace, row, False
+
+
+def distinct(names: Sequence[str], taken: Iterable[str] = ()) -> list[str]:
+    """The names, a repeated or taken one with the next free number: "bank", "bank (2)".
+
+    They differ in more than case, so that files can be named after them anywhere.
+    """
+    used = {name.casefold() for name in taken}
+    given = []
+    for name in names:
+        number, candidate = 1, name
+        while candidate.casefold() in used:
+            number += 1
+            candidate = f"{name} ({number})"
+        used.add(candidate.casefold())
+        given.append(candidate)
+    return given
+
+
+def _renamed(bank: ScoreBank, name: str) -> ScoreBank:
+    if bank.name == name:
+        return bank
+    view = bank.subset(bank.techniques)  # a view of its own, whose name is free to change
+    view.name = name
+    return view
+
+
+def _stem(entry: _Entry) -> str:
+    weight = "" if entry.compute_weight is None else f"-{entry.compute_weight:g}"
+    return file_stem(f"{entry.context.bank.name}-{entry.contestant.name}{weight}")
+
+
+def file_stem(name: str) -> str:
+    """A name as part of a file's name on any system: letters, digits and ``-_.+``, not long."""
+    safe = "".join(c if c.isalnum() or c in "-_.+" else "_" for c in name).strip("._").encode()
+    short = safe if len(safe) <= 80 else safe[:39] + b"__" + safe[-39:]  # systems count bytes
+    return short.decode(errors="ignore") or "unnamed"
+
+
+def all_subsets(techniques: Sequence[str]) -> list[str]:
+    """The policies of every subset of the techniques: ``single:A``, ``subset:A+B``, ``music``.
+
+    Raises:
+        ValueError: for more than `MOST_TECHNIQUES`.
+    """
+    if len(techniques) > MOST_TECHNIQUES:
+        raise ValueError(
+            f"{len(techniques)} techniques have {2 ** len(techniques) - 1} subsets, too many to "
+            f"compare (all of up to {MOST_TECHNIQUES} techniques are); name some as subset:A+B"
+        )
+    parts = [f"single:{name}" for name in techniques]
+    for size in range(2, len(techniques)):
+        parts += [f"subset:{'+'.join(names)}" for names in combinations(techniques, size)]
+    return parts + (["music"] if len(techniques) > 1 else [])
+
+
+def check_weights(weights: Sequence[float]) -> tuple[float, ...]:
+    """Compute weights without repetition, refused where one is not a number >= 0."""
+    for weight in weights:
+        if not (math.isfinite(weight) and weight >= 0):
+            raise ValueError(f"compute weight is {weight}; give numbers >= 0")
+    return tuple(dict.fromkeys(float(weight) for weight in weights))
+
+
+# ---- table ---------------------------------------------------------------------------------
+
+
+COLUMNS = ("accuracy", "auc", "auc_vprbench", "auc_paper", "ptr", "compute", "reselections", "lost")
+
+
+def table(comparison: Comparison) -> str:
+    """The rows as text, a block per bank, and their mean where there are several banks.
+
+    Below, which of them need ground truth, and a warning for every policy and bank where p̂ and the
+    truth part.
+    """
+    needs = comparison.needs_truth
+    blocks = [_block(bank, rows, needs) for bank, rows in _by_bank(comparison.rows).items()]
+    if len(blocks) > 1 and comparison.mean:
+        blocks.append(_block(f"mean over {len(blocks)} banks", comparison.mean, needs))
+    note = footnote((row["policy"] for row in comparison.rows), needs)
+    return "\n\n".join(filter(None, [*blocks, note, "\n".join(partings(comparison.traces))]))
+
+
+def partings(traces: Sequence[Trace]) -> list[str]:
+    """One line for each policy and bank where mean p̂ and accuracy differ by more than `PARTING`."""
+    groups: dict[tuple[str, str], list[tuple[str, Audit]]] = {}
+    for trace in traces:
+        weight = trace.compute_weight
+        if (held := audit(trace)) is not None:
+            group = groups.setdefault((trace.policy, trace.bank), [])
+            group.append(("" if weight is None else f"λ {weight:g}", held))
+    lines = [parting(f"{policy} on {bank}", held) for (policy, bank), held in groups.items()]
+    return [line for line in lines if line is not None]
+
+
+def _block(title: str, rows: Sequence[dict[str, Any]], needs_truth: dict[str, str]) -> str:
+    heads = ["policy", "λ", "SIC", *(name.replace("_", " ") for name in COLUMNS)]
+    lines = [heads, *(_cells(row, needs_truth) for row in rows)]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(heads))]
+    text = [f"{title} ({rows[0]['queries']} frames, {rows[0]['costs']} costs)"]
+    for line in lines:
+        cells = [
+            cell.ljust(width) if i in (0, 2) else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ]
+        text.append("  ".join(cells).rstrip())
+    return "\n".join(text)
+
+
+def _cells(row: dict[str, Any], needs_truth: dict[str, str]) -> list[str]:
+    weight = "" if row["compute_weight"] is None else f"{row['compute_weight']:g}"
+    values = [f"{row[n]:g}" if n == "reselections" else f"{row[n]:.4f}" for n in COLUMNS]
+    statistic = statistic_label(row["statistic"], row["carry"])
+    return [marked(row["policy"], needs_truth), weight, statistic, *values]
+
+
+def _line(row: dict[str, Any]) -> str:
+    weight = "" if row["compute_weight"] is None else f" λ {row['compute_weight']:g}"
+    return (
+        f"{row['bank']} {row['policy']}{weight}: auc {row['auc']:.4f}, compute {row['compute']:.4f}"
+    )
+
+
+def _shared(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows whose like every bank has: a mean over other banks could not be compared."""
+    keys = [tuple(row[name] for name in metrics.MEAN_KEY) for row in rows]
+    banks = len({row["bank"] for row in rows})
+    return [row for row, key in zip(rows, keys, strict=True) if keys.count(key) == banks]
+
+
+def _by_bank(rows: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault(row["bank"], []).append(row)
+    return groups
+
+
+# ---- figures -------------------------------------------------------------------------------
+
+
+def draw(comparison: Comparison, folder: str | Path) -> list[ReportFigure]:
+    """Write the figures of a comparison as PNG files to ``folder``; those of an earlier one go.
+
+    Per bank: AUC against compute, precision-recall curves, and the runs along the route of the
+    policies that vary them; over all banks: the mean front, and the shares of MuSIC's choices.
+    """
+    from amusic_gym.evaluation import plots
+
+    folder = Path(folder)
+    figures = []
+    groups = _by_bank(comparison.rows)
+    if len(groups) > 1 and _has_front(comparison.mean):
+        path = plots.front(comparison.mean, folder / "front-mean.png")
+        figures.append(ReportFigure(path, "AUC against compute, mean over all routes."))
+    stems = distinct([file_stem(bank) for bank in groups], taken=("mean",))
+    for (bank, rows), stem in zip(groups.items(), stems, strict=True):
+        traces = [trace for trace in comparison.traces if trace.bank == bank]
+        if _has_front(rows):
+            path = plots.front(rows, folder / f"front-{stem}.png")
+            figures.append(ReportFigure(path, f"AUC against compute on {bank}."))
+        path = plots.precision_recall(_curves(traces), folder / f"precision_recall-{stem}.png")
+        figures.append(ReportFigure(path, f"Precision-recall curves on {bank}."))
+        if panels := _panels(traces):
+            path = plots.selections(panels, folder / f"selections-{stem}.png")
+            figures.append(ReportFigure(path, f"Techniques run along the route of {bank}."))
+    if trusted := _trusted(comparison.traces):
+        path = plots.shares(trusted, folder / "shares.png")
+        figures.append(ReportFigure(path, "Shares of MuSIC's choices on each route."))
+    keep_only(folder, "figures", [figure.path for figure in figures])
+    return figures
+
+
+def _has_front(rows: Sequence[dict[str, Any]]) -> bool:
+    """Whether any row has a place in the front: policies without SIC have none."""
+    return any(row["policy"].partition(":")[0] != "raw" for row in rows)
+
+
+def _curves(traces: Sequence[Trace]) -> list[Trace]:
+    """The traces that a figure of curves can hold: no subsets where there are many."""
+    if len(traces) <= MOST_CURVES:
+        return list(traces)
+    return [trace for trace in traces if _kind(trace) != "subset"] or list(traces[:MOST_CURVES])
+
+
+def _panels(traces: Sequence[Trace]) -> list[Trace]:
+    """Traces whose choice of techniques varies; of many λ an even spread."""
+    varied = [trace for trace in traces if _kind(trace) not in ALWAYS_THE_SAME]
+    plain = [trace for trace in varied if trace.compute_weight is None]
+    swept = [trace for trace in varied if trace.compute_weight is not None]
+    room = max(1, MOST_PANELS - len(plain))
+    chosen = [*plain[:MOST_PANELS], *spread(swept, room)]
+    return [trace for trace in varied if any(trace is other for other in chosen)]
+
+
+def spread(items: Sequence[Trace], count: int) -> list[Trace]:
+    """At most ``count`` of the items, evenly spaced, the ends among them."""
+    if len(items) <= count:
+        return list(items)
+    steps = max(count - 1, 1)
+    return [items[round(i * (len(items) - 1) / steps)] for i in range(count)]
+
+
+def _trusted(traces: Sequence[Trace]) -> list[Trace]:
+    """MuSIC's trace on each bank; else those of a policy like it."""
+    for policy in ("music", "amusic", "amusic:evidence"):
+        if found := [trace for trace in traces if trace.policy == policy]:
+            return found
+    return []
+
+
+def _kind(trace: Trace) -> str:
+    return trace.policy.partition(":")[0]

@@ -1,0 +1,163 @@
+"""Precision-recall curves, and how far estimated correctness can be believed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.evaluation import metrics
+from amusic_gym.evaluation.plots import labels
+from amusic_gym.evaluation.plots.drawing import GREY, INK, figure_at, only, percent
+from amusic_gym.utils.colours import CORRECT_COLOUR, WRONG_COLOUR, technique_colours, tint
+
+if TYPE_CHECKING:
+    from amusic_gym.policies.trace import Trace
+
+LINES = {"raw": ":", "subset": "--"}  # policy -> line style, solid for all others
+
+
+def precision_recall(traces: Sequence[Trace], path: str | Path) -> Path:
+    """Precision-recall curves of several traces of one bank, ordered by AUC.
+
+    Each curve ends in a dot: every frame accepted. A technique keeps its colour, dotted without
+    SIC; a selector's curves go from light to dark with its compute weight.
+    """
+    bank = only({trace.bank for trace in traces}, "bank", "traces")
+    colours = _curve_colours(traces)
+    with figure_at(path, 7.6, max(4.2, 1.4 + 0.21 * len(traces))) as figure:
+        axes = figure.add_subplot()
+        drawn = []
+        for trace in traces:
+            precision, recall = metrics.curve(trace)
+            kind = trace.policy.partition(":")[0]
+            (line,) = axes.plot(
+                recall,
+                precision,
+                color=colours[_identity(trace)],
+                linestyle="--" if labels.is_variant(trace.policy) else LINES.get(kind, "-"),
+                linewidth=1.3 if kind in (*labels.FIXED, "raw") else 2.2,
+                zorder=2.5 if kind in (*labels.FIXED, "raw") else 3.0,
+                marker="o",
+                markersize=4.5,
+                markevery=[recall.size - 1],
+            )
+            drawn.append((metrics.area(precision, recall), line, labels.trace_label(trace)))
+        drawn.sort(key=lambda entry: -entry[0])
+        axes.set(xlim=(0, 1.015), ylim=(0, 1.03), xlabel="Recall", ylabel="Precision")
+        axes.set_title(f"Precision and recall on {labels.bank_label(bank)}")
+        axes.grid()
+        figure.legend(
+            [line for _, line, _ in drawn],
+            [f"{area:.3f}  {name}" for area, _, name in drawn],
+            title="AUC",
+            alignment="left",
+            loc="outside right upper",
+        )
+    return Path(path)
+
+
+def reliability(
+    traces: Sequence[Trace], path: str | Path, *, bins: int = metrics.CALIBRATION_BINS
+) -> Path:
+    """Observed against SIC-estimated correctness, pooled over traces, above a histogram.
+
+    Bars are 95 % Wilson intervals; frames without an estimate are left out.
+
+    Raises:
+        ValueError: no frame of any trace has an estimate.
+    """
+    correct, estimate = _pooled(traces)
+    table = metrics.reliability(correct, estimate, bins)
+    held = table.counts > 0
+    low, high = _wilson(table.observed[held], table.counts[held])
+    with figure_at(path, 5.6, 6.2) as figure:
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
+        upper.plot([0, 1], [0, 1], color=GREY, linestyle="--", linewidth=1, label="perfect")
+        upper.vlines(table.predicted[held], low, high, color="#0072B2", linewidth=1.2, alpha=0.6)
+        upper.plot(
+            table.predicted[held], table.observed[held], "o-", color="#0072B2", label="observed"
+        )
+        upper.set(ylabel="Share of frames that are correct", ylim=(-0.02, 1.02), xlim=(-0.02, 1.02))
+        upper.set_title("SIC-estimated correctness against the truth", pad=20)
+        quality = _quality(correct, estimate, bins)
+        upper.text(0, 1.02, quality, transform=upper.transAxes, va="bottom", color=INK)
+        upper.legend(loc="lower right")
+        outcomes = [estimate[correct], estimate[~correct]]
+        weights = [np.full(part.size, 1.0 / estimate.size) for part in outcomes]
+        colours = [CORRECT_COLOUR, WRONG_COLOUR]
+        edges = np.linspace(0, 1, bins + 1)
+        lower.hist(
+            outcomes,
+            edges.tolist(),
+            weights=weights,
+            stacked=True,
+            color=colours,
+            label=["correct", "wrong"],
+        )
+        lower.yaxis.set_major_formatter(percent)
+        lower.set(xlabel="Estimated correctness p̂", ylabel="Frames")
+        lower.legend(loc="upper center")
+        upper.grid()
+    return Path(path)
+
+
+def _identity(trace: Trace) -> tuple[str, float | None]:
+    return trace.policy, trace.compute_weight
+
+
+def _curve_colours(traces: Sequence[Trace]) -> dict[tuple[str, float | None], Any]:
+    """A colour per trace: the technique's, the policy's, or a shade of the selector's."""
+    techniques = technique_colours(labels.all_techniques(t.techniques for t in traces))
+    swept = dict.fromkeys(t.policy for t in traces if t.compute_weight is not None)
+    sweeps = {policy: labels.sweep_colour(i) for i, policy in enumerate(swept)}
+    colours: dict[tuple[str, float | None], Any] = {}
+    for trace in traces:
+        kind, _, name = trace.policy.partition(":")
+        if trace.compute_weight is not None:
+            weights = sorted(
+                w for p, w in map(_identity, traces) if p == trace.policy and w is not None
+            )
+            place = np.searchsorted(weights, trace.compute_weight) / max(1, len(weights) - 1)
+            colours[_identity(trace)] = tint(sweeps[trace.policy], 0.45 + 0.55 * float(place))
+        elif kind in ("raw", "single") and name in techniques:
+            colours[_identity(trace)] = techniques[name]
+        else:
+            plain = GREY if kind == "subset" else labels.policy_mark(trace.policy)[0]
+            colours[_identity(trace)] = plain
+    return colours
+
+
+def _pooled(traces: Sequence[Trace]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    given = [(t.correct, t.p_correct) for t in traces]
+    if not given or all(np.isnan(p).all() for _, p in given):
+        raise ValueError("no trace holds an estimate of correctness; give traces with p_correct")
+    correct = np.concatenate([c for c, _ in given])
+    estimate = np.concatenate([p for _, p in given])
+    held = ~np.isnan(estimate)
+    return correct[held], estimate[held]
+
+
+def _quality(correct: NDArray[np.bool_], estimate: NDArray[np.float64], bins: int) -> str:
+    ranked = metrics.auroc(correct, estimate)
+    words = (
+        f"AUROC {'undefined' if np.isnan(ranked) else f'{ranked:.3f}'}",
+        f"Brier {metrics.brier(correct, estimate):.3f}",
+        f"calibration error {metrics.calibration_error(correct, estimate, bins):.3f}",
+        f"{correct.size} frames",
+    )
+    return "  ·  ".join(words)
+
+
+def _wilson(
+    share: NDArray[np.float64], counts: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """95 % score interval of a share: unlike the normal one, honest near 0 and 1."""
+    z = 1.959964
+    middle = (share + z * z / (2 * counts)) / (1 + z * z / counts)
+    spread = z * np.sqrt(share * (1 - share) / counts + (z / (2 * counts)) ** 2)
+    half = spread / (1 + z * z / counts)
+    return np.maximum(middle - half, 0.0), np.minimum(middle + half, 1.0)

@@ -1,0 +1,232 @@
+"""Runs policies on banks and live routes and records traces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.live_route import LiveRoute
+from amusic_gym.envs.sources import Recording
+from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.policies.protocol import Correction, Localiser, Policy, Rows, Selector, highest_z
+from amusic_gym.policies.trace import Trace
+
+Progress = Callable[[int], None]
+
+NAVIGATED = {
+    "predictions": "prediction",
+    "confidence": "confidence",
+    "similarity": "similarity",
+    "p_correct": "p_correct",
+    "chosen": "technique",
+    "ran": "ran",
+    "late_runs": "late_runs",
+    "selections": "selection",
+}
+"""Argument of `Trace.join` -> attribute of a sighting."""
+
+RECORDED = ("prediction", "confidence", "similarity", "p_correct", "technique", "ran", "idle")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One episode to run: a bank or live route and, for policies that have one, the weight λ."""
+
+    bank: Recording
+    compute_weight: float | None = None
+
+
+def rollout(
+    policy: Policy,
+    bank: Recording,
+    *,
+    name: str,
+    statistic: str = SICSettings.statistic,
+    carry: bool | None = None,
+    discount: bool | None = None,
+    compute_weight: float | None = None,
+) -> Trace:
+    """Run a policy over a whole bank, or a live route of known length and ground truth.
+
+    Args:
+        policy: selector or localiser.
+        bank: the route.
+        name: the policy's name in the trace.
+        statistic: SIC's statistic, unless the policy needs its own.
+        carry: whether places are carried on as candidates, unless the policy needs its own; None:
+            as the statistic has it.
+        discount: whether MuSIC discounts alike rows; as `carry`.
+        compute_weight: λ; None for policies that have none.
+    """
+    jobs = [Job(bank, compute_weight)]
+    options = {"statistic": statistic, "carry": carry, "discount": discount}
+    return rollouts(policy, jobs, name=name, **options)[0]  # type: ignore[arg-type]
+
+
+def rollouts(
+    policy: Policy,
+    jobs: Sequence[Job],
+    *,
+    name: str,
+    statistic: str = SICSettings.statistic,
+    carry: bool | None = None,
+    discount: bool | None = None,
+) -> list[Trace]:
+    """Run a policy on several routes, a selector on all banks at once; live routes one by one.
+
+    Raises:
+        ValueError: if a selector was made for another statistic, a score is not finite, or the
+            length or ground truth of a live route is not known.
+    """
+    how = Correction.under(policy, statistic, carry, discount)
+    if isinstance(policy, Selector) and not any(isinstance(j.bank, LiveRoute) for j in jobs):
+        return _select(policy, jobs, name, how)
+    return [_one(policy, job, name, how) for job in jobs]
+
+
+def _one(policy: Policy, job: Job, name: str, how: Correction) -> Trace:
+    """Run a policy on one route."""
+    if isinstance(job.bank, LiveRoute):
+        return _navigate(policy, job.bank, job.compute_weight, name, how)
+    if isinstance(policy, Selector):
+        return _select(policy, [job], name, how)[0]
+    return _localise(policy, job.bank, name)
+
+
+def _navigate(
+    policy: Policy, route: LiveRoute, compute_weight: float | None, name: str, how: Correction
+) -> Trace:
+    """Drive along a live route and keep everything but the images."""
+    from amusic_gym.live.navigation import navigate
+
+    columns: dict[str, list[Any]] = {key: [] for key in NAVIGATED}
+    options = how._asdict() if isinstance(policy, Selector) else {}
+    for sighting in navigate(policy, route, compute_weight=compute_weight, **options):
+        for key, attribute in NAVIGATED.items():
+            columns[key].append(getattr(sighting, attribute))
+    estimates = columns.pop("p_correct")
+    if isinstance(policy, Selector):
+        columns["p_correct"] = estimates
+    else:
+        compute_weight = None
+    return Trace.join(
+        route,
+        policy=name,
+        statistic=how.statistic,
+        carry=how.carry,
+        compute_weight=compute_weight,
+        **columns,
+    )
+
+
+def _localise(policy: Localiser, bank: ScoreBank, name: str) -> Trace:
+    """Let a localiser walk through a bank, charging the rows it asks for."""
+    predictions = np.full(bank.queries, -1)
+    confidence, similarity = np.zeros((2, bank.queries))
+    ran = np.zeros((bank.queries, len(bank.techniques)), np.bool_)
+    policy.reset(bank.references, len(bank.techniques))
+    for frame in range(bank.queries):
+        rows: Rows = {}
+
+        def run(technique: int, frame: int = frame, rows: Rows = rows) -> NDArray[np.float32]:
+            ran[frame, technique] = True
+            rows[technique] = row = bank.row(technique, frame)
+            if not (row < np.inf).all():
+                raise ValueError(
+                    f"score bank {bank.name!r}: NaN or infinite score of technique"
+                    f" {bank.techniques[technique]!r} at frame {frame}; mend the scores and write"
+                    " the bank again"
+                )
+            return row
+
+        place, confidence[frame] = policy.locate(frame, run)
+        predictions[frame], similarity[frame] = place, highest_z(rows.values(), place)
+    return Trace.join(
+        bank,
+        predictions=predictions,
+        confidence=confidence,
+        similarity=similarity,
+        ran=ran,
+        policy=name,
+        statistic="none",
+    )
+
+
+def _select(policy: Selector, jobs: Sequence[Job], name: str, how: Correction) -> list[Trace]:
+    from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+
+    needs = policy.needs
+    env = TechniqueSelectionVectorEnv(
+        len(jobs),
+        [job.bank for job in jobs],
+        slots=max(len(job.bank.techniques) for job in jobs),
+        reselection=needs.reselection,
+        coverage=needs.coverage,
+        allow_idle=needs.allow_idle,
+        **how._asdict(),
+        **needs.extra,
+    )
+    weights = np.array([1.0 if j.compute_weight is None else j.compute_weight for j in jobs])
+    options = {"bank": np.arange(len(jobs)), "start": 0, "compute_weight": weights}
+    observation, info = env.reset(options=options)
+    policy.reset(np.ones(len(jobs), np.bool_))
+    recorder = _Recorder(jobs)
+    for frame in range(max(job.bank.queries or 0 for job in jobs)):
+        observation, _, _, _, info = env.step(policy.act(observation, info))
+        recorder.record(frame, info)
+    return recorder.traces(name, how)
+
+
+class _Recorder:
+    """Collects what the infos say, frame by frame."""
+
+    def __init__(self, jobs: Sequence[Job]) -> None:
+        self.jobs = jobs
+        self.frames: list[Mapping[str, Any]] = []
+
+    def record(self, frame: int, info: Mapping[str, Any]) -> None:
+        kept = {key: info[key] for key in RECORDED}
+        if "selection" in info:
+            kept["late_runs"] = info["selection"]["late_runs"]
+            kept["happened"] = info["selection"]["happened"]
+        self.frames.append(kept)
+
+    def _column(self, key: str, i: int) -> NDArray[Any] | None:
+        if key not in self.frames[0]:
+            return None
+        return np.stack([frame[key][i] for frame in self.frames[: self.jobs[i].bank.queries]])
+
+    def traces(self, name: str, how: Correction) -> list[Trace]:
+        return [self._trace(i, name, how) for i in range(len(self.jobs))]
+
+    def _trace(self, i: int, name: str, how: Correction) -> Trace:
+        job = self.jobs[i]
+        techniques = len(job.bank.techniques)
+        late = self._column("late_runs", i)
+        ran = self._column("ran", i)
+        prediction, confidence = self._column("prediction", i), self._column("confidence", i)
+        similarity = self._column("similarity", i)
+        assert ran is not None
+        assert prediction is not None
+        assert confidence is not None
+        assert similarity is not None
+        return Trace.join(
+            job.bank,
+            predictions=prediction,
+            confidence=confidence,
+            similarity=similarity,
+            p_correct=self._column("p_correct", i),
+            chosen=self._column("technique", i),
+            ran=ran[:, :techniques],
+            late_runs=None if late is None else late[:, :techniques],
+            selections=self._column("happened", i),
+            policy=name,
+            statistic=how.statistic,
+            carry=how.carry,
+            compute_weight=job.compute_weight,
+        )

@@ -1,0 +1,202 @@
+"""One cell of a study: a policy with one λ on one route, as recorded or re-timed with one seed."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.evaluation import metrics
+from amusic_gym.evaluation.audit import audit
+from amusic_gym.evaluation.comparison import Contestant
+from amusic_gym.evaluation.rollout import rollout
+from amusic_gym.extraction.shards import Advance, nothing
+from amusic_gym.policies.protocol import Context, Policy
+from amusic_gym.policies.trace import Trace
+from amusic_gym.routes.retime import retime
+from amusic_gym.utils.threads import alone
+
+RECORDED, RETIMED = "recorded", "retimed"
+CONDITIONS = (RECORDED, RETIMED)
+"""The route as it was recorded, or driven through with stops, other speeds and jumps."""
+
+NAMES = {RECORDED: "as recorded", RETIMED: "re-timed"}
+"""The conditions in words."""
+
+FIXED, CASCADE, AMUSIC, LEARNED = "fixed", "cascade", "amusic", "learned"
+PERIODIC, VOI = "periodic", "voi"
+RANDOM, IDLE = "random", "idle"
+PEER, BOUND, VARIANT = "peer", "bound", "variant"
+FAMILIES = (FIXED, CASCADE, AMUSIC, PERIODIC, VOI, RANDOM, IDLE, LEARNED, PEER, BOUND, VARIANT)
+"""What an entrant is to the fronts: see :class:`Entrant`."""
+
+FRONTS = {
+    **{FIXED: "fixed subsets", CASCADE: "cascade", AMUSIC: "A-MuSIC"},
+    **{PERIODIC: "periodic", VOI: "value of information"},
+    **{RANDOM: "random", IDLE: "may idle"},
+}
+"""Families whose policies make one front together, and its name; others have one each."""
+
+Measures = dict[str, Any]
+
+
+def front_of(policy: str, family: str) -> str | None:
+    """What the front is called that an entrant is part of; None: of none."""
+    return None if family == VARIANT else FRONTS.get(family, policy)
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """A policy of a study, or several runs of one training, which are its seeds.
+
+    Attributes:
+        name: in tables.
+        family: of `FAMILIES`: ``fixed`` subsets, ``cascade`` rules, ``amusic``, ``periodic``
+            rules, ``voi`` (value of information), ``random`` choice, ``idle``: any rule under which
+            nothing may run on a frame; ``learned`` selectors, ``peer`` policies, a ``bound`` that
+            no robot could run, or ``variant``: a policy under another statistic, for ablations; in
+            no front.
+        contestants: one, or one for each seed. What makes them must pickle.
+        statistic: SIC's, if it is not the study's.
+        draws: whether the policy draws: then it has a cell per seed even as recorded.
+        needs_truth: of what it needs ground truth, if it does; tables say so.
+    """
+
+    name: str
+    family: str
+    contestants: tuple[Contestant, ...]
+    statistic: str | None = None
+    draws: bool = False
+    needs_truth: str = ""
+
+
+class Bench:
+    """What a worker holds to run cells: the recordings, and what makes the policies.
+
+    Args:
+        banks: the recordings.
+        makers: build a policy, afresh for every cell; module-level functions or partials of such.
+    """
+
+    name = "study"  # as executors call what they hand to their workers
+
+    def __init__(
+        self, banks: Sequence[ScoreBank], makers: Sequence[Callable[[Context], Policy]]
+    ) -> None:
+        self.banks = tuple(banks)
+        self.makers = tuple(makers)
+        self._last: tuple[tuple[int, int], ScoreBank] | None = None
+
+    def route(self, bank: int, retiming: int | None) -> ScoreBank:
+        """A recording, re-timed if there is a seed for it; the last one is remembered."""
+        if retiming is None:
+            return self.banks[bank]
+        if self._last is None or self._last[0] != (bank, retiming):
+            self._last = (bank, retiming), retime(self.banks[bank], retiming)
+        return self._last[1]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Bench, (self.banks, self.makers)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A piece of work for executors: the same numbers in any process, in any order.
+
+    Attributes:
+        path: stem of the file that keeps its numbers; changes with all that may change them.
+        labels: what it is, for tables: see `LABELS`.
+        bank: index in the bench.
+        maker: index in the bench.
+        statistic: SIC's, of policies that do not bring their own.
+        carry: whether places are carried on as candidates, likewise.
+        discount: whether MuSIC discounts alike rows, likewise.
+        retiming: seed of the re-timing; None: as recorded.
+        seed: for policies that draw.
+        size: frames.
+    """
+
+    path: str
+    labels: Mapping[str, Any]
+    bank: int
+    maker: int
+    statistic: str
+    carry: bool | None
+    discount: bool | None
+    retiming: int | None
+    seed: int
+    size: int
+
+    @property
+    def key(self) -> str:
+        """As executors call it."""
+        return self.path
+
+    def __str__(self) -> str:
+        """For a person: route, condition and seed, policy and λ."""
+        of = self.labels
+        weight = "" if of["compute_weight"] is None else f" λ {of['compute_weight']:g}"
+        seed = "" if of["seed"] is None else f" {of['seed']}"
+        return f"{of['bank']}, {of['condition']}{seed}: {of['policy']}{weight}"
+
+    def portable(self) -> Cell:
+        """Itself: it holds no file."""
+        return self
+
+    def run(self, bench: Bench, advance: Advance = nothing) -> Measures:
+        """Run the policy along the route and measure it."""
+        measures = measure(alone(self._play, bench))
+        advance(self.size)
+        return measures
+
+    def _play(self, bench: Bench) -> Trace:
+        bank = bench.route(self.bank, self.retiming)
+        chosen: dict[str, Any] = {
+            name: getattr(self, name) for name in ("statistic", "carry", "discount")
+        }
+        return rollout(
+            bench.makers[self.maker](Context.of(bank, seed=self.seed, **chosen)),
+            bank,
+            name=self.labels["policy"],
+            compute_weight=self.labels["compute_weight"],
+            **chosen,
+        )
+
+
+LABELS = (
+    "bank",
+    "condition",
+    "seed",
+    "policy",
+    "family",
+    "member",
+    "compute_weight",
+    "statistic",
+    "carry",
+    "costs",
+)
+"""``bank``, ``policy``, ``compute_weight``, ``statistic``, ``carry``, ``costs`` as in
+``results.json``;
+``member``: which contestant of the entrant."""
+
+AUDITED = ("p_correct", "gap", "auroc", "calibration_error")
+"""Of p̂ over a cell's frames: its mean, its mean minus the accuracy, and its quality."""
+
+
+MEASURED = ("queries", *metrics.AVERAGED, *AUDITED)
+"""A cell's numbers."""
+
+
+def measure(trace: Trace) -> Measures:
+    """The numbers of `MEASURED`, plain Python values.
+
+    A technique that is never right is part of simulated routes: its AUC is 0 without a warning.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".* has no correct match", UserWarning)
+        row = metrics.summarise(trace)
+    held = audit(trace)
+    estimated = dict.fromkeys(AUDITED) if held is None else {**held._asdict(), "gap": held.gap}
+    return {name: (estimated if name in AUDITED else row)[name] for name in MEASURED}

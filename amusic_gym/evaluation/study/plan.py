@@ -1,0 +1,291 @@
+"""Which cells a study has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from amusic_gym import __version__
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.evaluation import comparison_files
+from amusic_gym.evaluation.comparison import Contestant, check_banks, distinct
+from amusic_gym.evaluation.study import store
+from amusic_gym.evaluation.study.cells import (
+    CONDITIONS,
+    FAMILIES,
+    FRONTS,
+    LABELS,
+    RETIMED,
+    Bench,
+    Cell,
+    Entrant,
+)
+from amusic_gym.policies.protocol import Context, Correction, Policy
+from amusic_gym.utils.checks import whole
+from amusic_gym.utils.names import suggest
+
+MOST_WEIGHTS = 8
+"""λ of a learned selector's front: more would be a search for the best one."""
+
+SEED_COUNT = 5
+
+MEAN = "mean"
+"""In the place of a route's name: over all routes."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All that a study has to do.
+
+    Attributes:
+        bench: the recordings and makers of policies, for workers.
+        cells: in the order of tables: routes, conditions, seeds, policies.
+        routes: of each recording ``bank`` (its name), ``queries``, ``references``, ``techniques``,
+            ``seconds`` and ``cheapest``, the least compute of a policy that always runs one.
+        seeds: of re-timing, of policies that draw, and numbers of trainings.
+        conditions: of `CONDITIONS`.
+        statistic: SIC's, of policies that do not bring their own.
+        carry: whether places are carried on as candidates, likewise; None: as the statistic has it.
+        discount: whether MuSIC discounts alike rows, likewise; None: as the statistic has it.
+        costs: name of the cost model.
+        needs_truth: name of an entrant → of what it needs ground truth.
+    """
+
+    bench: Bench
+    cells: tuple[Cell, ...]
+    routes: tuple[dict[str, Any], ...]
+    seeds: tuple[int, ...]
+    conditions: tuple[str, ...]
+    statistic: str
+    carry: bool | None
+    discount: bool | None
+    costs: str
+    needs_truth: dict[str, str]
+
+
+def make_plan(
+    banks: Sequence[ScoreBank],
+    entrants: Callable[[ScoreBank], Sequence[Entrant]],
+    *,
+    statistic: str = SICSettings.statistic,
+    carry: bool | None = None,
+    discount: bool | None = None,
+    seeds: Sequence[int] = range(SEED_COUNT),
+    conditions: Sequence[str] = CONDITIONS,
+) -> Plan:
+    """The cells of every entrant on every bank.
+
+    Every policy is built once for every bank, so that a wrong name is refused before anything
+    runs. As recorded, an entrant has a cell per contestant and λ, and one per seed if it draws;
+    re-timed, one per seed and λ: seed i goes with contestant i, if there are several.
+
+    Args:
+        banks: the routes, with the costs to reckon with. A name that several share is numbered.
+        entrants: the policies for a bank.
+        statistic: SIC's, for policies that do not bring their own.
+        carry: whether places are carried on as candidates, likewise; None: as the statistic has it.
+        discount: whether MuSIC discounts alike rows, likewise; None: as the statistic has it.
+        seeds: different whole numbers >= 0.
+        conditions: some of `CONDITIONS`.
+
+    Raises:
+        ValueError: for nothing to do, banks with different cost models, an entrant with a wrong
+            number of contestants, more than `MOST_WEIGHTS` λ, or a policy that does not fit a
+            bank or the statistic that it is asked for.
+    """
+    check_banks(banks)
+    numbers = _check(seeds, conditions)
+    names = distinct([bank.name or "bank" for bank in banks], taken=(MEAN,))
+    chosen = {"carry": carry, "discount": discount}
+    planner = _Planner(statistic, chosen, numbers, tuple(dict.fromkeys(conditions)))
+    for number, (bank, name) in enumerate(zip(banks, names, strict=True)):
+        planner.add(number, bank, name, entrants(bank))
+    if not planner.cells:
+        raise ValueError("no policy to study; give at least one")
+    return Plan(
+        bench=Bench(banks, planner.makers),
+        cells=tuple(planner.cells),
+        routes=tuple(_route(*each) for each in zip(banks, names, strict=True)),
+        seeds=numbers,
+        conditions=planner.conditions,
+        statistic=statistic,
+        carry=carry,
+        discount=discount,
+        costs=banks[0].costs,
+        needs_truth=planner.needs_truth,
+    )
+
+
+def _check(seeds: Sequence[int], conditions: Sequence[str]) -> tuple[int, ...]:
+    numbers = tuple(whole("seed", seed, 0) for seed in seeds)
+    if not numbers or len(set(numbers)) < len(numbers):
+        raise ValueError(f"seeds are {list(numbers)}; give at least one, each once")
+    if not conditions:
+        raise ValueError(f"no condition; give some of {', '.join(CONDITIONS)}")
+    for condition in conditions:
+        if condition not in CONDITIONS:
+            raise ValueError(suggest("condition", condition, CONDITIONS))
+    return numbers
+
+
+def _route(bank: ScoreBank, name: str) -> dict[str, Any]:
+    return {
+        "bank": name,
+        "queries": bank.queries,
+        "references": bank.references,
+        "techniques": list(bank.techniques),
+        "seconds": bank.seconds.tolist(),
+        "cheapest": float(bank.seconds.min() / bank.seconds.sum()),
+    }
+
+
+@dataclass(frozen=True)
+class _Site:
+    """One recording in its place among all."""
+
+    number: int
+    bank: ScoreBank
+    name: str
+    identity: str  # digest of what it holds
+
+
+class _Planner:
+    """Collects cells, bank by bank."""
+
+    def __init__(
+        self,
+        statistic: str,
+        chosen: dict[str, bool | None],
+        seeds: tuple[int, ...],
+        conditions: tuple[str, ...],
+    ) -> None:
+        self.statistic = statistic
+        self.chosen = chosen  # carry and discount
+        self.seeds = seeds
+        self.conditions = conditions
+        self.cells: list[Cell] = []
+        self.makers: list[Callable[[Context], Policy]] = []
+        self.needs_truth: dict[str, str] = {}
+        self._maker: dict[tuple[str, str], int] = {}
+        self._code = store.code()
+
+    def add(self, number: int, bank: ScoreBank, name: str, entrants: Sequence[Entrant]) -> None:
+        """The cells of one bank, those of one condition and seed together."""
+        given = list(dict.fromkeys(entrants))
+        _check_names([entrant.name for entrant in given])
+        self.needs_truth |= {each.name: each.needs_truth for each in given if each.needs_truth}
+        jobs = [job for entrant in given for job in self._jobs(bank, entrant)]
+        site = _Site(number, bank, name, comparison_files.bank_identity(bank))
+        self.cells += [
+            self._cell(site, job, condition, at)
+            for condition in self.conditions
+            for at in range(len(self.seeds))
+            for job in jobs
+            if at == 0 or job.varies(condition)
+        ]
+
+    def _jobs(self, bank: ScoreBank, entrant: Entrant) -> list[_Job]:
+        """One per λ; builds every policy once to see that it can be built."""
+        _check_entrant(entrant, len(self.seeds))
+        statistic = entrant.statistic or self.statistic
+        context = Context.of(bank, statistic=statistic, seed=self.seeds[0], **self.chosen)
+        for contestant in entrant.contestants:
+            policy = contestant.make(context)
+            own = Correction.under(policy, statistic, **self.chosen)
+            if entrant.statistic not in (None, own.statistic):
+                raise ValueError(
+                    f"{entrant.name}: the policy has a statistic of its own, {own.statistic!r}, and"
+                    f" takes no other; leave out @{entrant.statistic}"
+                )
+        weights = dict.fromkeys(entrant.contestants[0].compute_weights)
+        return [_Job(entrant, statistic, own, weight) for weight in weights]
+
+    def _cell(self, site: _Site, job: _Job, condition: str, at: int) -> Cell:
+        entrant, seed = job.entrant, self.seeds[at]
+        contestant = entrant.contestants[at % len(entrant.contestants)]
+        retiming = seed if condition == RETIMED else None
+        shared = {
+            "condition": condition,
+            "compute_weight": job.weight,
+            "statistic": job.own.statistic,
+            "carry": job.own.carry,
+            "costs": site.bank.costs,
+        }
+        key = {
+            **shared,
+            "bank": site.identity,
+            "retiming": retiming,
+            "policy": contestant.name,
+            "policy_version": contestant.version,
+            "discount": job.own.discount,
+            "drawing": seed if entrant.draws else None,
+            "code": self._code,
+            "version": __version__,
+        }
+        labels = {
+            **shared,
+            "bank": site.name,
+            "seed": seed if job.varies(condition) else None,
+            "policy": entrant.name,
+            "family": entrant.family,
+            "member": contestant.name,
+        }
+        return Cell(
+            path=store.stem(key),
+            labels={name: labels[name] for name in LABELS},
+            bank=site.number,
+            maker=self._maker_of(contestant, job.statistic),
+            statistic=job.statistic,
+            carry=self.chosen["carry"],
+            discount=self.chosen["discount"],
+            retiming=retiming,
+            seed=seed if entrant.draws else self.seeds[0],
+            size=site.bank.queries,
+        )
+
+    def _maker_of(self, contestant: Contestant, statistic: str) -> int:
+        key = contestant.name, statistic
+        if key not in self._maker:
+            self._maker[key] = len(self.makers)
+            self.makers.append(contestant.make)
+        return self._maker[key]
+
+
+@dataclass(frozen=True)
+class _Job:
+    """An entrant with one λ."""
+
+    entrant: Entrant
+    statistic: str  # SIC's, for a policy that does not bring its own
+    own: Correction  # what it has in the end
+    weight: float | None
+
+    def varies(self, condition: str) -> bool:
+        """Whether the seed makes a difference."""
+        return condition == RETIMED or self.entrant.draws or len(self.entrant.contestants) > 1
+
+
+def _check_names(names: Sequence[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"two policies are called {name!r}; give each a name of its own")
+
+
+def _check_entrant(entrant: Entrant, seeds: int) -> None:
+    if entrant.family not in FAMILIES:
+        raise ValueError(suggest("family", entrant.family, FAMILIES))
+    if entrant.family not in FRONTS and entrant.name in FRONTS.values():
+        raise ValueError(f"{entrant.name!r} is what tables call a front; take another name")
+    count = len(entrant.contestants)
+    if count not in (1, seeds):
+        raise ValueError(
+            f"{entrant.name} has {count} runs for {seeds} seeds; give one run, or one for each seed"
+        )
+    for contestant in entrant.contestants:
+        weights = contestant.compute_weights
+        if not 0 < len(weights) <= MOST_WEIGHTS:
+            raise ValueError(
+                f"{entrant.name} has {len(weights)} compute weights; give 1 to {MOST_WEIGHTS}"
+            )

@@ -1,0 +1,110 @@
+"""Runs the cells of a plan that are not finished yet."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
+
+from amusic_gym.banks.bank_files import refuse_within_bank
+from amusic_gym.evaluation.study import store
+from amusic_gym.evaluation.study.cells import Cell, Measures
+from amusic_gym.evaluation.study.plan import Plan
+from amusic_gym.extraction.executors import make_executor
+
+Row = dict[str, Any]
+
+Finished = list[Row]
+"""For each cell of a plan, in its order: its labels and its numbers."""
+
+Report = Callable[[str], None]
+
+
+def run(
+    plan: Plan, out: str | Path, *, executor: str = "serial", report: Report = print
+) -> Finished:
+    """Compute the cells that ``out`` does not hold yet, and keep each as soon as it is finished.
+
+    The same numbers come out whatever the executor. Killed at any time, it loses the cells that
+    are running and no other.
+
+    Args:
+        plan: of :func:`~amusic_gym.evaluation.study.plan.make_plan`.
+        out: the folder; made if it is not there.
+        executor: ``serial``, ``process:N``, ``ray`` or ``ray:ADDRESS``.
+        report: is given one line per finished cell.
+
+    Raises:
+        ValueError: for an unknown executor, or an ``out`` in the folder of a bank.
+        ChildProcessError: when workers die of the same cell again and again.
+    """
+    where = make_executor(executor)
+    folder = Path(out) / store.FOLDER
+    refuse_within_bank(folder)
+    folder.mkdir(parents=True, exist_ok=True)  # fails before hours of work, not after them
+    done = _load(plan, folder, report)
+    missing = list({cell.path: cell for cell in plan.cells if cell.path not in done}.values())
+    progress = _Progress(len(missing), sum(cell.size for cell in missing), report)
+    if done:
+        report(f"{len(plan.cells) - progress.cells} of {len(plan.cells)} cells were finished")
+    # Executors are typed for techniques and arrays; they hold and return whatever pickles.
+    with where, cast(Any, where).workers(plan.bench) as workers:
+        for cell, measures in workers.run(missing):
+            store.save(folder, cell.path, measures)
+            done[cell.path] = measures
+            progress.tell(cell, measures)
+    return [{**cell.labels, **done[cell.path]} for cell in plan.cells]
+
+
+def count_finished(
+    plan: Plan, out: str | Path, report: Report = print
+) -> dict[str, tuple[int, int]]:
+    """Name of each policy → how many of its cells ``out`` holds, and how many there are."""
+    done = _load(plan, Path(out) / store.FOLDER, report)
+    counts: dict[str, tuple[int, int]] = {}
+    for cell in plan.cells:
+        have, all_of_it = counts.get(cell.labels["policy"], (0, 0))
+        counts[cell.labels["policy"]] = have + (cell.path in done), all_of_it + 1
+    return counts
+
+
+def _load(plan: Plan, folder: Path, report: Report) -> dict[str, Measures]:
+    """The finished cells: file → numbers."""
+    done = {}
+    for path in dict.fromkeys(cell.path for cell in plan.cells):
+        try:
+            measures = store.load(folder, path)
+        except ValueError as error:
+            report(f"{error}: computed again")
+            continue
+        if measures is not None:
+            done[path] = measures
+    return done
+
+
+class _Progress:
+    """One line per cell, with the time that is left at the rate so far."""
+
+    def __init__(self, cells: int, frames: int, report: Report) -> None:
+        self.cells = cells
+        self._frames = frames
+        self._report = report
+        self._done = self._seen = 0
+        self._begun = time.monotonic()
+
+    def tell(self, cell: Cell, measures: Measures) -> None:
+        self._done += 1
+        self._seen += cell.size
+        spent = time.monotonic() - self._begun
+        left = spent * (self._frames - self._seen) / self._seen
+        self._report(
+            f"[{self._done}/{self.cells}] {cell}: auc {measures['auc']:.4f}, compute"
+            f" {measures['compute']:.4f} (about {_duration(left)} left)"
+        )
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

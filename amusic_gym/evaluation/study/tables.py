@@ -1,0 +1,311 @@
+"""The findings of a study as tables: text for a terminal, markdown for the documentation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from amusic_gym.estimation.settings import statistic_label
+from amusic_gym.evaluation.audit import PARTING
+from amusic_gym.evaluation.marks import footnote, marked
+from amusic_gym.evaluation.plots.labels import policy_label
+from amusic_gym.evaluation.study.cells import FRONTS, NAMES
+from amusic_gym.evaluation.study.findings import SHOWN_COMPUTES, Findings, ahead
+from amusic_gym.evaluation.study.fronts import BAND, ROUNDING
+from amusic_gym.evaluation.study.plan import MEAN
+from amusic_gym.evaluation.study.run import Row
+from amusic_gym.utils.escaping import for_markdown
+from amusic_gym.utils.storage import write_whole
+
+TABLES = "tables.md"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Words in rows; the first ``words`` columns are text, the others numbers."""
+
+    title: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    note: str = ""
+    words: int = 1
+
+    def text(self) -> str:
+        """For a terminal."""
+        lines = [self.heads, *self.rows]
+        widths = [max(len(line[i]) for line in lines) for i in range(len(self.heads))]
+        shown = [self.title]
+        for line in lines:
+            cells = [
+                cell.ljust(width) if i < self.words else cell.rjust(width)
+                for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+            ]
+            shown.append("  ".join(cells).rstrip())
+        return "\n".join([*shown, *([self.note] if self.note else [])])
+
+    def markdown(self) -> str:
+        """A heading, the table and its note."""
+        ends = [":--" if i < self.words else "--:" for i in range(len(self.heads))]
+        lines = [self.heads, ends, *self.rows]
+        body = "\n".join(f"| {' | '.join(map(for_markdown, line))} |" for line in lines)
+        return "\n\n".join(
+            [
+                f"### {for_markdown(self.title)}",
+                body,
+                *([for_markdown(self.note)] if self.note else []),
+            ]
+        )
+
+
+def tables(findings: Findings) -> list[Table]:
+    """All tables: the mean over routes first, then every route."""
+    routes = [route["bank"] for route in findings.routes]
+    scopes = [*([MEAN] if len(routes) > 1 else []), *routes]
+    made = [_points(findings, scope) for scope in scopes]
+    conditions = findings.settings["conditions"]
+    made += [_fronts(findings, condition) for condition in conditions]
+    for scope in scopes if findings.matches else []:
+        made += [_matches(findings, condition, scope) for condition in conditions]
+    if findings.margins:
+        made.append(_margins(findings))
+    if findings.audit:
+        made.append(_audit(findings))
+    return made
+
+
+def text(findings: Findings) -> str:
+    """The tables and, at the end, the warnings."""
+    blocks = [table.text() for table in tables(findings)]
+    return "\n\n".join([*blocks, *(["\n".join(findings.warnings)] if findings.warnings else [])])
+
+
+def write_markdown(findings: Findings, folder: str | Path) -> Path:
+    """Write `TABLES`, of which each part may be copied into the documentation."""
+    blocks = [table.markdown() for table in tables(findings)]
+    if findings.warnings:
+        blocks.append("\n".join(f"- **{for_markdown(line)}**" for line in findings.warnings))
+    return write_whole(Path(folder) / TABLES, ("\n\n".join(blocks) + "\n").encode())
+
+
+# ---- tables ----------------------------------------------------------------------------------
+
+
+def _points(findings: Findings, scope: str) -> Table:
+    """Every policy and λ on one route or over all, each condition in columns of its own."""
+    conditions = findings.settings["conditions"]
+    by_key: dict[tuple[Any, ...], dict[str, Row]] = {}
+    for row in findings.points:
+        if row["bank"] == scope:
+            label = statistic_label(row["statistic"], row["carry"])
+            key = row["policy"], row["compute_weight"], label
+            by_key.setdefault(key, {})[row["condition"]] = row
+    heads = ["policy", "λ", "SIC"]
+    for condition in conditions:
+        heads += [f"AUC {NAMES[condition]}", "95 %", "compute", "accuracy"]
+        heads += ["gap closed"] if scope == MEAN else []
+    rows = [
+        [_marked(findings, policy), "" if weight is None else f"{weight:g}", statistic]
+        + [cell for condition in conditions for cell in _point_cells(of[condition], scope)]
+        for (policy, weight, statistic), of in by_key.items()
+    ]
+    return Table(_title(findings, scope), heads, rows, _points_note(findings, scope), words=3)
+
+
+def _point_cells(row: Row, scope: str) -> list[str]:
+    cells = [
+        f"{row['auc']:.3f}",
+        _interval(row["auc_interval"]),
+        _percent(row["compute"]),
+        f"{row['accuracy']:.3f}",
+    ]
+    return [*cells, _maybe(row["gap_closed"], _percent)] if scope == MEAN else cells
+
+
+def _title(findings: Findings, scope: str) -> str:
+    costs = findings.settings["costs"]
+    if scope == MEAN:
+        return f"Mean over {len(findings.routes)} routes ({costs} costs)"
+    route = next(route for route in findings.routes if route["bank"] == scope)
+    return f"{scope}: {route['queries']} frames, {route['references']} places ({costs} costs)"
+
+
+def _points_note(findings: Findings, scope: str) -> str:
+    rows = [row for row in findings.points if row["bank"] == scope]
+    over = next((row["interval_over"] for row in rows), "")
+    count = len(findings.settings["seeds"])
+    parts = [
+        f"Means over {count} seeds; 95 % bootstrap intervals over {over}, empty where there is "
+        "nothing to resample."
+    ]
+    if scope == MEAN:
+        here, anywhere = ({row["policy"] for row in of} for of in (rows, findings.points))
+        left_out = len(anywhere - here)
+        parts += [f"{left_out} policies that are not on every route are left out."] * bool(left_out)
+        parts.append(
+            "Gap closed: share of the way from the single best to the virtual best fixed subset, "
+            "both within the same compute."
+        )
+    return _noted(findings, " ".join(parts), [row["policy"] for row in rows])
+
+
+def _fronts(findings: Findings, condition: str) -> Table:
+    """The fronts of every route and their mean: hypervolume and AUC at some computes."""
+    heads = ["route", "front", "hypervolume", "95 %", "begins at"]
+    heads += [f"≤ {compute:.0%}" for compute in SHOWN_COMPUTES]
+    shown = [
+        row
+        for row in findings.fronts
+        if row["condition"] == condition and row["begins"] < 1.0 - ROUNDING
+    ]
+    rows = [
+        [
+            row["bank"],
+            _marked(findings, row["front"]),
+            _maybe(row["hypervolume"], _three),
+            _interval(row["hypervolume_interval"]),
+            _percent(row["begins"]),
+            *(_maybe(value, _three) for value in row["auc_at"]),
+        ]
+        for row in shown
+    ]
+    note = (
+        "A front is the best AUC at no more than that compute. Hypervolume: its area above AUC 0.5 "
+        "over log compute, from the cheapest technique's compute to 1, as a share of the greatest "
+        "there could be. Policies that always run everything have none and are left out."
+    )
+    note = _noted(findings, note, [row["front"] for row in shown])
+    return Table(f"Fronts, {NAMES[condition]}", heads, rows, note, words=2)
+
+
+def _matches(findings: Findings, condition: str, scope: str) -> Table:
+    """Every point of the learned selectors, and the best rival of each kind at no more compute."""
+    here = (condition, scope)
+    shown = [row for row in findings.matches if (row["condition"], row["bank"]) == here]
+    points = {
+        (row["policy"], row["compute_weight"]): row["auc_interval"]
+        for row in findings.points
+        if (row["condition"], row["bank"]) == here
+    }
+    matched: dict[tuple[Any, ...], dict[str, Row]] = {}
+    for row in shown:
+        matched.setdefault((row["policy"], row["compute_weight"]), {})[row["kind"]] = row
+    found = {row["kind"] for row in shown}
+    against = [kind for kind in (*FRONTS.values(), *findings.settings["rivals"]) if kind in found]
+    rows = []
+    for (policy, weight), of in matched.items():
+        own = next(iter(of.values()))
+        start = [_marked(findings, policy), "" if weight is None else f"{weight:g}"]
+        start += [_percent(own["compute"]), _three(own["auc"]), _interval(points[policy, weight])]
+        rows.append([*start, *(_rival(of.get(kind)) for kind in against)])
+    where = f"mean over {len(findings.routes)} routes" if scope == MEAN else scope
+    title = f"The best of each kind at no more compute, {NAMES[condition]}: {where}"
+    note = (
+        "Each column: the best AUC of its kind at no more compute than the selector's, and whose "
+        "it is. `=`: level with the selector, the 95 % bootstrap interval of the difference holds "
+        "0; `>`: ahead of it. –: none is so cheap. In `may idle`, nothing may run on a frame."
+    )
+    heads = ["selector", "λ", "compute", "AUC", "95 %", *against]
+    return Table(title, heads, rows, _noted(findings, note, [row["policy"] for row in shown]))
+
+
+def _rival(match: Row | None) -> str:
+    """A rival's AUC, how it stands to the selector, and its name."""
+    if match is None or match["rival"] is None:
+        return "–"
+    sign = {None: " =", True: "", False: " >"}[ahead(match)]
+    weight = "" if match["rival_weight"] is None else f", λ {match['rival_weight']:g}"
+    return f"{match['rival_auc']:.3f}{sign} ({policy_label(match['rival'])}{weight})"
+
+
+def _margins(findings: Findings) -> Table:
+    """How far every learned selector is above or below its rivals."""
+    low, high = (f"{compute:.0%}" for compute in BAND)
+    heads = ["route", "condition", "selector", "against", "least", "at", f"greatest {low}–{high}"]
+    heads += ["at", "95 %", "begins", "rival begins"]
+    rows = [
+        [
+            row["bank"],
+            NAMES[row["condition"]],
+            _marked(findings, row["policy"]),
+            _marked(findings, row["rival"]),
+            _maybe(row["least"], _signed),
+            _maybe(row["least_at"], _percent),
+            _maybe(row["greatest"], _signed),
+            _maybe(row["greatest_at"], _percent),
+            _interval(row["greatest_interval"], _signed),
+            _percent(row["begins"]),
+            _percent(row["rival_begins"]),
+        ]
+        for row in findings.margins
+    ]
+    note = (
+        "Least and greatest difference over a fixed grid of computes, where both fronts have "
+        "begun; a rival that begins earlier has the computes below for itself."
+    )
+    note = _noted(
+        findings, note, [row[key] for row in findings.margins for key in ("policy", "rival")]
+    )
+    return Table("Margins: AUC of the selector's front minus the rival's", heads, rows, note, 4)
+
+
+def _audit(findings: Findings) -> Table:
+    """p̂ against the truth."""
+    heads = ["policies", "condition", "route", "mean p̂", "accuracy", "p̂ − accuracy", "greatest"]
+    heads += ["of", "AUROC", "least", "ECE", "greatest"]
+    rows = [
+        [
+            _marked(findings, row["front"]),
+            NAMES[row["condition"]],
+            row["bank"],
+            _three(row["p_correct"]),
+            _three(row["accuracy"]),
+            _signed(row["gap"]),
+            _signed(row["greatest_gap"]),
+            row["greatest_gap_of"],
+            _maybe(row["auroc"], _three),
+            _maybe(row["least_auroc"], _three),
+            _three(row["calibration_error"]),
+            _three(row["greatest_calibration_error"]),
+        ]
+        for row in findings.audit
+    ]
+    note = (
+        "Means over cells, and the worst cell. A warning where p̂ is above the accuracy by more "
+        f"than {PARTING:g}."
+    )
+    note = _noted(findings, note, [row["front"] for row in findings.audit])
+    return Table("Audit: estimated correctness p̂ against the truth", heads, rows, note, words=3)
+
+
+# ---- words -----------------------------------------------------------------------------------
+
+
+def _marked(findings: Findings, policy: str) -> str:
+    return marked(policy, findings.settings["needs_truth"])
+
+
+def _noted(findings: Findings, note: str, shown: Sequence[str]) -> str:
+    """The note, and what the mark means if one of these policies has it."""
+    return " ".join(filter(None, [note, footnote(shown, findings.settings["needs_truth"])]))
+
+
+def _three(value: float) -> str:
+    return f"{value:.3f}"
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.3f}"
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.1f} %"
+
+
+def _maybe(value: float | None, words: Callable[[float], str]) -> str:
+    return "–" if value is None else words(value)
+
+
+def _interval(ends: Sequence[float] | None, words: Callable[[float], str] = _three) -> str:
+    return "" if ends is None else f"{words(ends[0])} … {words(ends[1])}"

@@ -1,0 +1,1 @@
+"""Driving along a live route, as a robot would."""

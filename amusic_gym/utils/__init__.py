@@ -1,0 +1,1 @@
+"""What every part may use: argument checks, files on disk, names, threads."""
