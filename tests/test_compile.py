@@ -11,18 +11,21 @@ import pytest
 from numba.core import caching
 from numba.core.dispatcher import Dispatcher
 
-from amusic_gym.estimation import dynamics, selection
+from amusic_gym.envs import step
 from amusic_gym.estimation.belief import filter as belief_filter
+from amusic_gym.estimation.sic import look_back, update
 from amusic_gym.kernels import compiling as _compile
 from amusic_gym.techniques import _cohog_description, _cohog_kernel
 from amusic_gym.utils import imports
 from amusic_gym.utils.imports import PACKAGE, digest_of, source_files
 
 KERNELS = [
-    dynamics.step_routes,
-    dynamics.step_beliefs,
-    selection.select_routes,
+    step.choose_routes,
+    step.observe_routes,
+    update.update_routes,
+    look_back.look_back,
     belief_filter.hear_routes,
+    belief_filter.update_routes,
     belief_filter.look_back,
     _cohog_kernel.match_regions,
     _cohog_description.local_entropy,
@@ -71,7 +74,7 @@ def test_53_a_kernel_is_stale_when_any_file_of_its_code_changes(kernel, tmp_path
 
 
 def test_53_constants_of_the_observation_are_part_of_a_step():
-    assert PACKAGE / "estimation" / "observation.py" in source_files(Path(dynamics.__file__), lazily=False)
+    assert PACKAGE / "envs" / "observation.py" in source_files(Path(step.__file__), lazily=False)
 
 
 def test_imports_count_wherever_they_stand_but_for_type_checkers():
