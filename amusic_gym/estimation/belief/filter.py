@@ -232,6 +232,9 @@ def hear_again(minds: Minds, i: int, first: int, stop: int) -> None:
             batch.corrections[i, s, frame - first] = known.correction
     for s in range(slots.size):
         if slots[s].present:
+            for frame in range(first, stop):
+                if not prepare(batch.runs[i, s], frame):
+                    batch.routes[i].bad_row = 1 + s * batch.routes[i].frames + frame
             load_result(minds, i, s, stop - 1)
 
 
