@@ -160,3 +160,17 @@ def test_23_a_damaged_index_that_cannot_be_replaced_is_gone_without(
     file.write_bytes(b"")
     monkeypatch.setattr(caching.IndexDataCacheFile, "_open_for_write", read_only)
     assert _compile.compiled(twice)(3.0) == 6.0
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_the_first_compilation_says_on_a_terminal_how_long_it_takes(
+    terminal, monkeypatch, tmp_path, capsys
+):
+    monkeypatch.setattr(caching.config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr("sys.stderr.isatty", lambda: terminal)
+    _compile._announce.cache_clear()
+    assert _compile.compiled(twice)(3.0) == _compile.compiled(twice)(3) == 6
+    said = capsys.readouterr().err
+    assert said == terminal * "amusic_gym: compiling kernels, once; this takes 10 to 30 seconds\n"
+    assert _compile.compiled(twice)(3.0) == 6.0  # from the cache
+    assert not capsys.readouterr().err
