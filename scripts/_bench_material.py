@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -81,13 +81,13 @@ class Material:
         return {"bank": self.bank, **settings, **PLAIN, **other}
 
     def stepper(
-        self, env: Any, act: Callable[[], Any], start: Any, behind: int = 0
+        self, env: Any, actions: Iterator[Any], start: Any, behind: int
     ) -> Callable[[], object]:
         """A route played and checked, begun again and brought to where timing starts.
 
         Args:
             env: single or vector.
-            act: gives the action of each step.
+            actions: of the steps.
             start: query at which each route begins.
             behind: times the timed frames sooner: of two sides on the same frames, the second
                 would find their rows in the cache.
@@ -99,7 +99,7 @@ class Material:
 
         def advance(steps: int = sizes.steps) -> dict[str, Any]:
             for _ in range(steps):
-                infos: dict[str, Any] = env.step(act())[-1]
+                infos: dict[str, Any] = env.step(next(actions))[-1]
             return infos
 
         env.reset(seed=0, options={"start": start})

@@ -60,7 +60,10 @@ from amusic_gym.envs.env import TechniqueSelectionEnv  # noqa: E402
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv  # noqa: E402
 from amusic_gym.utils.storage import write_whole  # noqa: E402
 
+CARRY: dict[str, Any] = {"carry": True}
+DISCOUNT: dict[str, Any] = {"carry": True, "discount": True}
 BELIEF: dict[str, Any] = {"statistic": "belief", "carry": None, "discount": None}
+THREADS: dict[str, Any] = {**BELIEF, "threads": 2}
 
 
 class Measured(NamedTuple):
@@ -127,20 +130,22 @@ def measure_limit(material: Material) -> Measured:
 
 
 def vector_side(
-    material: Material, name: str, *, behind: int = 0, act: Any = None, **other: Any
+    material: Material, name: str, *, behind: int = 0, half: bool = False, **other: Any
 ) -> Side:
-    """Steps of the vector env, all techniques unless ``act`` gives the actions."""
-    sizes = material.sizes
+    """Steps of the vector env, all techniques or a random half of them."""
+    sizes, everything = material.sizes, material.everything
+    rng = np.random.default_rng(1)
+    actions = rng.integers(0, 2, (97, *everything.shape), np.int8) if half else [everything]
     env = TechniqueSelectionVectorEnv(sizes.routes, **material.env_arguments(**other))
-    step = material.stepper(env, act or (lambda: material.everything), material.starts, behind)
+    step = material.stepper(env, cycle(actions), material.starts, behind)
     return Side(name, step, sizes.steps * sizes.routes)
 
 
 def single_side(material: Material, name: str, *, behind: int = 0, **other: Any) -> Side:
     """Steps of the single env, all techniques, without wrappers."""
     env = TechniqueSelectionEnv(**material.env_arguments(**other))
-    action = material.everything[0]
-    return Side(name, material.stepper(env, lambda: action, 0, behind), material.sizes.steps)
+    step = material.stepper(env, cycle(material.everything[:1]), 0, behind)
+    return Side(name, step, material.sizes.steps)
 
 
 def measure_vector_env(material: Material) -> Measured:
@@ -176,38 +181,25 @@ def measure_single_env(material: Material) -> Measured:
     return compare(single_side(material, "single env"), theirs, sizes.rounds)
 
 
-def measure_half(material: Material) -> Measured:
-    """The vector env's step with a random half of the techniques against one with all."""
-    rng, shape = np.random.default_rng(1), material.everything.shape
-    halves = cycle(rng.integers(0, 2, (97, *shape), np.int8))
-    half = vector_side(material, "a half", act=lambda: next(halves))
-    whole = vector_side(material, "all techniques")
-    return compare(half, whole, material.sizes.rounds, time=True)
-
-
-def measure_part(material: Material, name: str, **other: Any) -> Measured:
-    """The vector env's step with a part of SIC on against the step with it off.
+def measure_pair(material: Material, pair: tuple[Any, ...]) -> Measured:
+    """Steps of one environment with two settings, see `PAIRS`.
 
     The correlation of a row with the one before it is kept with the bank, as mean, deviation and
     candidates are: none of them is timed.
     """
-    on = vector_side(material, f"with {name}", behind=1, **other, **{name: True})
-    off = vector_side(material, "without", **other, **{name: False})
-    return compare(on, off, material.sizes.rounds, time=True)
+    side, ours, arguments, theirs, others = pair
+    first = side(material, ours, behind=1, **arguments)
+    return compare(first, side(material, theirs, **others), material.sizes.rounds, time=True)
 
 
-def measure_belief(material: Material) -> Measured:
-    """The single env's step with the statistic `belief` against `evidence`."""
-    belief = single_side(material, "belief", **BELIEF)
-    evidence = single_side(material, "evidence", behind=1)
-    return compare(belief, evidence, material.sizes.rounds, time=True)
-
-
-def measure_threads(material: Material) -> Measured:
-    """The vector env's step with the statistic `belief`, on two threads against one."""
-    two = vector_side(material, "two threads", threads=2, **BELIEF)
-    one = vector_side(material, "one thread", threads=1, **BELIEF)
-    return compare(two, one, material.sizes.rounds)
+PAIRS = {
+    "half_step_vs_whole": (vector_side, "a half", {"half": True}, "all techniques", {}),
+    "carry_step_vs_without": (vector_side, "with carry", CARRY, "without", {}),
+    "discount_step_vs_without": (vector_side, "with discount", DISCOUNT, "without", CARRY),
+    "belief_step_vs_evidence": (single_side, "belief", BELIEF, "evidence", {}),
+    "belief_two_threads_vs_one": (vector_side, "one thread", BELIEF, "two threads", THREADS),
+}
+"""Key → an environment, and the name and arguments of either side."""
 
 
 def measure_ppo(material: Material) -> Measured:
@@ -245,11 +237,7 @@ MEASUREMENTS: dict[str, Callable[[Material], Measured]] = {
     "sic_share_of_limit": measure_limit,
     "vector_env_vs_cartpole_vector": measure_vector_env,
     "single_env_vs_cartpole": measure_single_env,
-    "half_step_vs_whole": measure_half,
-    "carry_step_vs_without": partial(measure_part, name="carry"),
-    "discount_step_vs_without": partial(measure_part, name="discount", carry=True),
-    "belief_step_vs_evidence": measure_belief,
-    "belief_two_threads_vs_one": measure_threads,
+    **{key: partial(measure_pair, pair=pair) for key, pair in PAIRS.items()},
     "ppo_vs_constant_env": measure_ppo,
 }
 
