@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -225,6 +225,63 @@ class ScoreBank:
         return self.path if whole and self.costs == self._given[0] else None
 
     @classmethod
+    def from_rows(
+        cls,
+        rows: Iterable[NDArray[np.float32]],
+        techniques: Sequence[str],
+        seconds: ArrayLike,
+        *,
+        truth: GroundTruth,
+        tolerance: int,
+        name: str,
+        source: str,
+        costs: str = "measured",
+        out: str | os.PathLike[str] | None = None,
+    ) -> ScoreBank:
+        """A bank from its score rows, in memory or written to a folder as they come.
+
+        Args:
+            rows: (n, R) matrices that together are the T · Q rows, technique after technique.
+            techniques: as for the class; so are ``seconds``, ``name``, ``source`` and ``costs``.
+            seconds: (T,).
+            truth: of Q queries on R places.
+            tolerance: places.
+            name: of the bank.
+            source: where the scores come from.
+            costs: cost model of the seconds.
+            out: the folder to write; None: the bank stays in memory.
+
+        Raises:
+            ValueError: as for the class; when ``out`` is something other than a bank.
+            OSError: when the folder cannot be written; what was there is still there then.
+        """
+        names = check_names(techniques)
+        checked = check_seconds(seconds, names)
+        if out is None:
+            shape = len(names), truth.queries, truth.references
+            return cls(
+                np.concatenate(list(rows)).reshape(shape),
+                names,
+                checked,
+                tolerance=tolerance,
+                ground_truth=truth,
+                name=name,
+                source=source,
+                costs=costs,
+            )
+        written = bank_files.write(
+            Path(out),
+            scores=rows,
+            truth=truth,
+            techniques=list(zip(names, checked.tolist(), strict=True)),
+            tolerance=tolerance,
+            name=name,
+            source=source,
+            costs=costs,
+        )
+        return cls.load(written)
+
+    @classmethod
     def load(cls, path: str | os.PathLike[str], *, verify: bool = False) -> ScoreBank:
         """Open a bank's folder; the scores are memory-mapped, not read.
 
@@ -266,16 +323,18 @@ class ScoreBank:
             ValueError: when ``path`` is something other than a bank.
             OSError: when writing fails; what was at ``path`` is still there then.
         """
-        return bank_files.write(
-            Path(path),
-            scores=[self.stored[stored] for stored in self.index],
+        written = ScoreBank.from_rows(
+            (self.stored[stored] for stored in self.index),
+            self.techniques,
+            self.seconds,
             truth=self.truth,
-            techniques=list(zip(self.techniques, self.seconds.tolist(), strict=True)),
             tolerance=self.tolerance,
             name=self.name,
             source=self.source,
             costs=self.costs,
+            out=path,
         )
+        return written.path or Path(path)
 
     def __copy__(self) -> ScoreBank:
         return self
