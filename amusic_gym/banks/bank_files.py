@@ -156,19 +156,19 @@ def read(path: Path, *, verify: bool) -> BankFiles:
     path = Path(os.path.realpath(path))
     storage.restore_folder(path)
     for _ in range(_READ_ATTEMPTS):
-        with storage.FolderReader(path) as folder:
+        with storage.opened_folder(path) as folder:
             try:
-                return _read_once(folder, verify)
+                return _read_once(path, folder, verify)
             except FileNotFoundError:
-                if not folder.was_replaced():  # else: once more, from the new one
+                if not storage.was_replaced(path, folder):  # else: once more, from the new one
                     raise
     raise ValueError(f"bank {path} is being rewritten all the time; load it when that is over")
 
 
-def _read_once(folder: storage.FolderReader, verify: bool) -> BankFiles:
-    path = folder.path
+def _read_once(path: Path, folder: int, verify: bool) -> BankFiles:
     try:
-        manifest = _parse_manifest(path / MANIFEST, folder.read(MANIFEST, _MOST_MANIFEST))
+        content = storage.read_regular(path / MANIFEST, _MOST_MANIFEST, folder)
+        manifest = _parse_manifest(path / MANIFEST, content)
     except FileNotFoundError:
         raise FileNotFoundError(
             f"{path} has no {MANIFEST}, so it is not a whole bank; {_REBUILD}"
@@ -189,12 +189,12 @@ def _read_once(folder: storage.FolderReader, verify: bool) -> BankFiles:
             f"{path / MANIFEST} lacks an entry or has a wrong one ({error}); {_REBUILD}"
         ) from None
     shape = (len(techniques), queries, references)
-    with folder.open(SCORES) as file:
+    with storage.open_file(path / SCORES, folder) as file:
         scores = _map_scores(file, path / SCORES, shape)
         if verify:
             _compare(storage.sha256(file), path / SCORES, checksums[SCORES])
     most = 8 * (queries + 2 + queries * references) + _MOST_HEADERS
-    content = folder.read(TRUTH, most)
+    content = storage.read_regular(path / TRUTH, most, folder)
     _compare(hashlib.sha256(content).hexdigest(), path / TRUTH, checksums[TRUTH])
     truth = _read_truth(content, path / TRUTH, shape)
     return BankFiles(path, scores, truth, techniques, tolerance, name, source, costs, fingerprint)
