@@ -269,7 +269,7 @@ class ScoreBank:
                 source=source,
                 costs=costs,
             )
-        written = bank_files.write(
+        bank_files.write(
             Path(out),
             scores=rows,
             truth=truth,
@@ -279,7 +279,7 @@ class ScoreBank:
             source=source,
             costs=costs,
         )
-        return cls.load(written)
+        return cls.load(out)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], *, verify: bool = False) -> ScoreBank:
@@ -293,24 +293,19 @@ class ScoreBank:
             FileNotFoundError: when the folder or one of its files is missing.
             ValueError: when it is damaged or from a newer format.
         """
-        files = bank_files.read(Path(path), verify=verify)
+        path = Path(os.path.realpath(path))
+        scores, truth, manifest = bank_files.read(path, verify=verify)
         bank = cls.__new__(cls)
         try:
-            names = check_names([name for name, _ in files.techniques], len(files.scores))
-            bank._set(
-                files.scores,
-                names,
-                check_seconds([second for _, second in files.techniques], names),
-                files.tolerance,
-                files.truth,
-                files.name or files.path.name,
-                files.source,
-                files.costs,
-            )
+            names = check_names([each["name"] for each in manifest["techniques"]], len(scores))
+            seconds = check_seconds([each["seconds"] for each in manifest["techniques"]], names)
+            tolerance, source, costs = (manifest[key] for key in ("tolerance", "source", "costs"))
+            name = manifest["name"] or path.name
+            bank._set(scores, names, seconds, tolerance, truth, name, source, costs)
         except ValueError as error:
-            raise ValueError(f"bank {files.path}: {error}") from None
-        bank.path = files.path
-        bank._fingerprint = files.fingerprint
+            raise ValueError(f"bank {path}: {error}") from None
+        bank.path = path
+        bank._fingerprint = manifest["sha256"]
         return bank
 
     def save(self, path: str | os.PathLike[str]) -> Path:
