@@ -343,8 +343,8 @@ def changed(path, stamp):
 def test_53_every_file_that_a_cell_depends_on_is_in_its_stamp(package):
     measuring = store.sources(package)
     names = {path.relative_to(package).as_posix() for path in measuring}
-    assert {"sic.py", "belief/rates.json", "calibration.json", "study/cells.py"} <= names
-    for path in [*measuring[::6], package / "observation.py", package / "belief" / "rates.json"]:
+    assert {"sic.py", "belief/model.py", "calibration.json", "study/cells.py"} <= names
+    for path in [*measuring[::6], package / "observation.py", package / "belief" / "model.py"]:
         assert changed(path, partial(store.code, package)), path
 
 
