@@ -94,7 +94,7 @@ def test_policies_that_are_not_learned_need_no_network():
     assert not loaded.intersection(set(HEAVY) - {"numba"})
 
 
-@pytest.mark.parametrize("words", [[], ["bank"], ["bank", "images"], ["train"]])
+@pytest.mark.parametrize("words", [[], ["bank"], ["bank", "images"]])
 def test_help_is_quick(words):
     """What it shows is read from modules that load nothing heavy."""
     loaded = loaded_after(
@@ -103,7 +103,7 @@ def test_help_is_quick(words):
         "from amusic_gym.cli import main\n"
         "with contextlib.suppress(SystemExit): main()"
     )
-    assert not loaded.intersection({"torch"} if words == ["train"] else HEAVY)
+    assert not loaded.intersection(HEAVY)
 
 
 @pytest.mark.parametrize("package", ALLOWED)
