@@ -1,4 +1,4 @@
-"""Estimators: from the score rows of what ran to a place, and how sure it is."""
+"""What an estimator is: from the score rows of what ran to a place, and how sure it is."""
 
 from __future__ import annotations
 
@@ -7,15 +7,8 @@ from importlib import import_module
 from typing import Protocol
 
 from amusic_gym.estimation.batch import Batch
-from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.estimation.settings import ESTIMATORS, SICSettings
 from amusic_gym.kernels.tables import Table
-
-ESTIMATORS = {
-    "mean": "amusic_gym.estimation.sic.estimator:SICEstimator",
-    "evidence": "amusic_gym.estimation.sic.estimator:SICEstimator",
-    "belief": "amusic_gym.estimation.belief.estimator:BeliefEstimator",
-}
-"""Statistic → the estimator behind it."""
 
 
 class Estimator(Protocol):
