@@ -11,14 +11,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from amusic_agents.config import TrainingConfig
+from amusic_agents.evaluation import measure
 from amusic_agents.teachers import ByWeight, partition
 from amusic_agents.training import simulated_routes
 from amusic_baselines.cascade import Cascade
 from tqdm import tqdm
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.evaluation.metrics import compute
-from amusic_gym.evaluation.rollout import Job, rollouts
+from amusic_gym.evaluation.rollout import Job
 from amusic_gym.utils.storage import read_json, write_whole
 
 FILE = "teacher.json"
@@ -98,9 +98,7 @@ def choose_cascades(
     options: dict[str, Any] = {"statistic": statistic, **(environment or {})}
     for parameters in tqdm(grid, desc="choosing the teacher", disable=not progress):
         cascade = Cascade(**asdict(parameters))
-        traces = rollouts(cascade, jobs, name="cascade", **options)
-        correct = np.mean([trace.correct.mean() for trace in traces])
-        measured.append((correct, np.mean([compute(trace) for trace in traces])))
+        measured.append(measure(cascade, jobs, **options)[:2].mean(axis=1))
     accuracy, cost = np.array(measured).T
     choices = []
     for weight in weights:

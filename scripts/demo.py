@@ -17,10 +17,10 @@ from pathlib import Path
 from _cli import Parser, destination, run
 from _contestants import contestants
 from _rivals import study_rivals
-from amusic_agents.config import RolloutConfig, TrainingConfig, stored_config
-from amusic_agents.policy_iteration import iterate_policy
-from amusic_agents.run_folder import CHECKPOINT
+from amusic_agents.config import RolloutConfig, TrainingConfig
+from amusic_agents.run_folder import CHECKPOINT, stored_config
 from amusic_agents.selector import load_selector
+from amusic_agents.training import train
 
 from amusic_gym.banks.bank import COST_MODELS, ScoreBank
 from amusic_gym.banks.importers import from_recording
@@ -104,7 +104,7 @@ def main() -> None:
     tours = rendered.make_tours(out, say)
     banks = [bank.with_costs(given.costs) for bank in rendered.banks_of(tours, out, say)]
     say(f"training a selector on simulated routes: {given.iterations} iterations")
-    iterate_policy(run_folder, config, resume=(run_folder / CHECKPOINT).exists())
+    train(run_folder, config, resume=(run_folder / CHECKPOINT).exists())
     trained = f"ppo:{run_folder}"
 
     with warnings.catch_warnings():

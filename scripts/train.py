@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def main(arguments: list[str] | None = None) -> None:
     """Parse, train, say where the selector is."""
     given = _parser().parse_args(arguments)
-    learn(given, _config(given))
+    learn(given.out, _config(given), given.bank, given.resume)
     print(f"The best selector is in {given.out}; compare it with --policy ppo:{given.out}")
 
 
@@ -46,41 +46,31 @@ def option(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
-def learn(given: argparse.Namespace, config: TrainingConfig) -> None:
-    """Train with the configuration's algorithm, after choosing a teacher where it needs one."""
-    from amusic_agents.training import (
-        train,
-    )  # here, so that Ctrl-C in its long import ends well too
+def learn(
+    out: Path, config: TrainingConfig, banks: Sequence[str] = (), resume: bool = False
+) -> None:
+    """Train with the configuration's algorithm, after choosing a teacher where it needs one.
 
-    if "imitation" in config.algorithm:
-        _imitate(given, config)
-    elif config.algorithm == "rollouts":
-        from amusic_agents.policy_iteration import iterate_policy
-
-        iterate_policy(given.out, config, banks=given.bank, resume=given.resume)
-    else:
-        start = given.warm_start
-        train(given.out, config, banks=given.bank, resume=given.resume, warm_start=start)
-
-
-def _imitate(given: argparse.Namespace, config: TrainingConfig) -> None:
+    Args:
+        out: the run folder.
+        config: how.
+        banks: folders of banks to train on; none: simulated routes.
+        resume: go on from the folder's last checkpoint.
+    """
     from _train_teacher import make_teacher
-    from amusic_agents.imitation import IMITATION, imitate, imitate_then_train
-    from amusic_agents.training import refuse_used
+    from amusic_agents.training import IMITATION, refuse_used, train
 
-    alone = config.algorithm == "imitation"
-    folder = given.out if alone else given.out / IMITATION
-    if not given.resume:  # choosing the teacher takes a while
-        refuse_used(given.out)
-        refuse_used(folder)
-    teacher = make_teacher(folder, config, resume=given.resume)
-    run_it = imitate if alone else imitate_then_train
-    run_it(given.out, config, teacher, banks=given.bank, resume=given.resume)
+    teacher = None
+    if "imitation" in config.algorithm:
+        if not resume:  # choosing the teacher takes a while
+            refuse_used(out)
+        folder = out if config.algorithm == "imitation" else out / IMITATION
+        teacher = make_teacher(folder, config, resume=resume)
+    train(out, config, banks=banks, teacher=teacher, resume=resume)
 
 
 def _parser() -> Parser:
-    from amusic_agents.config import TrainingConfig
-    from amusic_agents.learners import ALGORITHMS
+    from amusic_agents.config import ALGORITHMS, TrainingConfig
 
     defaults = TrainingConfig()
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -118,7 +108,6 @@ def _parser() -> Parser:
         const=True,
         help="with rollouts: the selector may run nothing on a frame",
     )
-    add("--warm-start", type=Path, metavar="RUN", help="let ppo begin from this run's selector")
     add(
         "--resume",
         action="store_true",
@@ -129,7 +118,8 @@ def _parser() -> Parser:
 
 def _config(given: argparse.Namespace) -> TrainingConfig:
     """The defaults, or the configuration of the run to resume, with what was given."""
-    from amusic_agents.config import WARM_START, training_config
+    from amusic_agents.config import training_config
+    from amusic_agents.run_folder import stored_config
 
     given_names = (
         "algorithm timesteps seed n_envs threads statistic carry discount allow_idle reward"
@@ -139,11 +129,6 @@ def _config(given: argparse.Namespace) -> TrainingConfig:
     if given.simulation:
         chosen["simulation"] = ranges(given.simulation)
     algorithm = chosen.get("algorithm", "ppo")
-    if given.warm_start and (given.resume or algorithm != "ppo"):
-        raise ValueError(
-            "--warm-start begins a training with ppo; leave it out to resume, or with another"
-            " algorithm"
-        )
     tried = {name: getattr(given, name) for name in ROLLOUTS if getattr(given, name) is not None}
     if not given.resume:
         if tried and algorithm != "rollouts":
@@ -151,10 +136,9 @@ def _config(given: argparse.Namespace) -> TrainingConfig:
                 f"{option(next(iter(tried)))} is of the algorithm rollouts; leave it out, or give"
                 " --algorithm rollouts"
             )
-        defaults = WARM_START if given.warm_start else {}
-        config = training_config(**{"algorithm": algorithm, **defaults, **chosen})
+        config = training_config(**{"algorithm": algorithm, **chosen})
         return replace(config, rollouts=replace(config.rollouts, **tried)) if tried else config
-    base = _stored(given.out)
+    base = stored_config(given.out)
     own = {**vars(base.rollouts), **vars(base)}
     for name, value in {**chosen, **tried}.items():
         if name not in ("timesteps", "threads") and value != own[name]:
@@ -176,16 +160,6 @@ def _value(text: str) -> float | str | tuple[float, ...]:
     except ValueError:
         return text  # a word, such as a kind of motion
     return numbers if len(numbers) > 1 else numbers[0]
-
-
-def _stored(out: Path) -> TrainingConfig:
-    """The configuration of a run, or of the imitation that it was stopped in."""
-    from amusic_agents.config import stored_config
-    from amusic_agents.imitation import IMITATION
-    from amusic_agents.run_folder import CONFIG
-
-    begun = (out / CONFIG).exists() or not (out / IMITATION / CONFIG).exists()
-    return stored_config(out if begun else out / IMITATION)
 
 
 if __name__ == "__main__":
