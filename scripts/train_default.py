@@ -101,7 +101,8 @@ def main(arguments: list[str] | None = None) -> None:
 
     from amusic_agents.config import training_config
     from amusic_agents.run_folder import CONFIG
-    from train import learn
+
+    from amusic_gym.cli.train import learn
 
     folder = shipped(given.statistic, allow_idle=given.allow_idle)
     config = training_config(

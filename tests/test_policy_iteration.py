@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +44,7 @@ from amusic_agents.training import train
 from env_cases import random_actions, random_bank
 from live_cases import pair
 from safetensors.torch import load_file
-from small_training import SCRIPTS, SMALL, Quick, contents, stop_at
+from small_training import SMALL, Quick, contents, stop_at
 from stable_baselines3.common.callbacks import CheckpointCallback
 
 from amusic_gym.banks.bank import ScoreBank
@@ -684,23 +683,17 @@ def test_callbacks_of_stable_baselines3_are_refused(tmp_path):
 
 
 @pytest.fixture
-def command(monkeypatch, capsys):
+def command(monkeypatch, amusic):
     """Runs train.py with small settings; its exit status and the lines on stderr."""
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    import _cli
-    import train as script
-
     defaults = {**SMALL, "rollouts": RolloutConfig(**TRIED)}
     monkeypatch.setattr(
         "amusic_agents.config.TrainingConfig", lambda **v: TrainingConfig(**defaults | v)
     )
-    monkeypatch.setattr(sys, "argv", ["train.py"])
 
     def call(*arguments: object) -> tuple[int, list[str]]:
-        with pytest.raises(SystemExit) as ended:
-            _cli.run(lambda: script.main([str(argument) for argument in arguments]))
-        lines = capsys.readouterr().err.strip().splitlines()
-        return int(ended.value.code), [line for line in lines if "rollouts:" not in line]
+        status, _, err = amusic("train", *arguments)
+        lines = err.strip().splitlines()
+        return status, [line for line in lines if "rollouts:" not in line]
 
     return call
 

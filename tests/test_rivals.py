@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +20,8 @@ from test_rollout import assert_same
 from test_study import learned, plan_of
 
 from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.cli.contestants import contestants
+from amusic_gym.cli.study_policies import Lineup
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.estimation.dynamics import IDLE_DECAY
 from amusic_gym.estimation.observation import TECHNIQUE_FEATURES, observation_size
@@ -34,11 +34,6 @@ from amusic_gym.evaluation.study.figures import draw
 from amusic_gym.evaluation.study.findings import EVERYONE
 from amusic_gym.policies.protocol import Context
 from amusic_gym.routes.simulate import planted, simulate
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "scripts"))
-
-from _contestants import contestants  # noqa: E402  (found by the line above)
-from _study_policies import Lineup  # noqa: E402
 
 WEIGHTS = (0.01, 0.05, 0.15, 0.4, 1.0)
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any
 
-from _contestants import contestants
-
+from amusic_gym.cli.contestants import contestants
 from amusic_gym.estimation.settings import STATISTICS
 from amusic_gym.evaluation.comparison import Contestant, all_subsets
 from amusic_gym.evaluation.plots.labels import is_idle

@@ -1,35 +1,19 @@
-"""Folders of images of the command line: their order, and what to do about damaged ones."""
+"""What the commands that read images are given: folders, techniques, seconds."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import warnings
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-from _cli import Parser
-
+from amusic_gym.cli.parser import by_technique, numbers
 from amusic_gym.routes.folders import ImageFolder
 
+if TYPE_CHECKING:
+    from amusic_gym.techniques import Technique
+
 _NAMED = 3  # damaged images that a warning names before it only counts
-
-
-def add_reading(parser: Parser) -> None:
-    """Add the options of both folders."""
-    parser.add_argument(
-        "--order",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="FILE",
-        help="names of images, one on a line, in the order in which they were taken: one file for"
-        " both folders, or one for the map and one for the run",
-    )
-    parser.add_argument(
-        "--skip-damaged",
-        action="store_true",
-        help="leave damaged images out; the others keep their numbers for the ground truth",
-    )
 
 
 def map_of(args: argparse.Namespace) -> ImageFolder:
@@ -56,3 +40,21 @@ def _folder(args: argparse.Namespace, path: str | os.PathLike[str], side: int) -
             stacklevel=2,
         )
     return folder.without(damaged)
+
+
+def techniques_of(args: argparse.Namespace) -> tuple[list[Technique], dict[str, float]]:
+    """The techniques of the command line, and the seconds that are given for some, by name.
+
+    Raises:
+        FileNotFoundError: for a file of weights that is not there.
+        ValueError: for an unknown name, weights that do not fit, or seconds that are no number.
+    """
+    from amusic_gym.techniques import make_technique
+
+    specs = [spec.strip() for spec in args.techniques.split(",") if spec.strip()]
+    if not specs:
+        raise ValueError("--techniques names none; give at least one")
+    files = by_technique(args.weights, specs, "--weights")
+    made = [make_technique(spec, files.get(spec)) for spec in specs]
+    given = by_technique(args.seconds, [technique.name for technique in made], "--seconds")
+    return made, numbers(given, "--seconds")

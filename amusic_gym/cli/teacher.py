@@ -40,6 +40,10 @@ class Parameters:
     hold: int
     threshold: float
 
+    def cascade(self) -> Cascade:
+        """The cascade."""
+        return Cascade(**asdict(self))
+
 
 GRID: tuple[Parameters, ...] = (
     *(Parameters(cheap, 1, 0.0) for cheap in (1, 2, 3, EVERYTHING)),  # never in doubt
@@ -63,6 +67,40 @@ class Choice(NamedTuple):
     score: float
     accuracy: float
     compute: float
+
+
+def make_teacher(
+    out: Path,
+    config: TrainingConfig,
+    *,
+    resume: bool = False,
+    routes: int = ROUTES,
+    grid: Sequence[Parameters] = GRID,
+) -> ByWeight:
+    """The teacher of a run: chosen, and written to its ``teacher.json``.
+
+    Args:
+        out: the imitation's run folder.
+        config: of the imitation.
+        resume: take the teacher of the file, if there is one.
+        routes: simulated routes to choose on.
+        grid: what is tried.
+
+    Raises:
+        ValueError: for a damaged ``teacher.json``.
+    """
+    path = out / FILE
+    low, high = config.compute_weights
+    if resume and path.exists():
+        choices = _read(path)
+    else:
+        _, middles = partition((low, high), PARTS if low < high else 1)
+        how: dict[str, Any] = {"statistic": config.statistic, "environment": config.environment()}
+        choices = choose_cascades(teacher_routes(config, routes), middles, grid=grid, **how)
+        rows = [{**choice._asdict(), "parameters": asdict(choice.parameters)} for choice in choices]
+        write_whole(path, (json.dumps(rows, indent=1) + "\n").encode())
+    edges, _ = partition((low, high), len(choices))
+    return ByWeight(edges, [choice.parameters.cascade() for choice in choices])
 
 
 def teacher_routes(config: TrainingConfig, routes: int = ROUTES) -> list[ScoreBank]:
@@ -93,13 +131,11 @@ def choose_cascades(
         grid: what is tried.
         progress: whether to show a progress bar.
     """
-    measured = []  # (parameters) of (accuracy, compute)
     jobs = [Job(bank) for bank in banks]
-    options: dict[str, Any] = {"statistic": statistic, **(environment or {})}
-    for parameters in tqdm(grid, desc="choosing the teacher", disable=not progress):
-        cascade = Cascade(**asdict(parameters))
-        measured.append(measure(cascade, jobs, **options)[:2].mean(axis=1))
-    accuracy, cost = np.array(measured).T
+    options = {"statistic": statistic, **(environment or {})}
+    bar = tqdm(grid, desc="choosing the teacher", disable=not progress)
+    means = [measure(each.cascade(), jobs, **options)[:2].mean(axis=1) for each in bar]
+    accuracy, cost = np.array(means).T
     choices = []
     for weight in weights:
         scores = accuracy - weight * cost
@@ -107,52 +143,6 @@ def choose_cascades(
         reached = (scores[best], accuracy[best], cost[best])
         choices.append(Choice(float(weight), grid[best], *map(float, reached)))
     return choices
-
-
-def teacher_of(choices: Sequence[Choice], weights: tuple[float, float]) -> ByWeight:
-    """The teacher that follows the choice for each part of a range of λ."""
-    edges, _ = partition(weights, len(choices))
-    return ByWeight(edges, [Cascade(**asdict(choice.parameters)) for choice in choices])
-
-
-def make_teacher(
-    out: Path,
-    config: TrainingConfig,
-    *,
-    resume: bool = False,
-    routes: int = ROUTES,
-    grid: Sequence[Parameters] = GRID,
-) -> ByWeight:
-    """The teacher of a run: chosen, and written to its ``teacher.json``.
-
-    Args:
-        out: the imitation's run folder.
-        config: of the imitation.
-        resume: take the teacher of the file, if there is one.
-        routes: simulated routes to choose on.
-        grid: what is tried.
-
-    Raises:
-        ValueError: for a damaged ``teacher.json``.
-    """
-    path = out / FILE
-    low, high = config.compute_weights
-    if resume and path.exists():
-        choices = _read(path)
-    else:
-        _, middles = partition((low, high), PARTS if low < high else 1)
-        banks = teacher_routes(config, routes)
-        how = {"statistic": config.statistic, "environment": config.environment()}
-        choices = choose_cascades(banks, middles, grid=grid, **how)  # type: ignore[arg-type]
-        _write(path, choices)
-    return teacher_of(choices, (low, high))
-
-
-def _write(path: Path, choices: Sequence[Choice]) -> None:
-    rows: list[dict[str, Any]] = [
-        {**choice._asdict(), "parameters": asdict(choice.parameters)} for choice in choices
-    ]
-    write_whole(path, (json.dumps(rows, indent=1) + "\n").encode())
 
 
 def _read(path: Path) -> list[Choice]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from _study_policies import Lineup
-
 from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.cli.study_policies import Lineup
 from amusic_gym.evaluation import study
 from amusic_gym.evaluation.comparison import COMPUTE_WEIGHTS
 from amusic_gym.evaluation.study.tables import write_markdown

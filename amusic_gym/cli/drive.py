@@ -1,8 +1,7 @@
-"""What navigate.py shows: a line per frame, pictures, and a summary however the drive ends."""
+"""What ``navigate`` prints: a line per frame, and a summary however the drive ends."""
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,63 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from amusic_gym.envs.live_route import LiveRoute
-from amusic_gym.envs.pictures.sightings import Pictures
-from amusic_gym.envs.window import Window
 from amusic_gym.live.navigation import Sighting
-from amusic_gym.routes.video import VideoWriter
 
 DOUBT, SETTLED = 0.5, 20
 """p̂ of a doubtful frame, and frames after which many of them are worth a word."""
 
 HEADER = f"{'frame':>6} {'place':>6} {'confidence':>10} {'p':>5} {'ms':>8}  techniques"
-
-
-def check_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, str | None]) -> None:
-    """Refuse files that cannot be written, or that would replace what is read, before any work.
-
-    Args:
-        outputs: option -> the file that it writes; None: not given.
-        inputs: option -> what it reads.
-
-    Raises:
-        ValueError: naming the option and the mend.
-    """
-    taken = [(option, Path(path)) for option, path in inputs.items() if path is not None]
-    for option, path in outputs.items():
-        if path is None:
-            continue
-        for other, used in taken:
-            if _same(path, used):
-                raise ValueError(
-                    f"{option} {path} is the file of {other} too and would replace it; give"
-                    " another file"
-                )
-        taken.append((option, path))
-        if path.is_dir():
-            raise ValueError(f"{option} {path} is a folder; give a file in it")
-        try:
-            _try_writing(path)
-        except OSError as error:
-            raise ValueError(
-                f"{option} {path} cannot be written ({error.strerror}); give another file"
-            ) from None
-
-
-def _same(one: Path, other: Path) -> bool:
-    if one.exists() and other.exists():
-        return one.samefile(other)  # links, and file systems that ignore case
-    return os.path.realpath(one) == os.path.realpath(other)
-
-
-def _try_writing(path: Path) -> None:
-    """Open ``path`` for writing, or a nameless file where its folder is or would be made."""
-    if path.exists():
-        if path.is_file():
-            path.open("ab").close()
-        return
-    folder = next(above for above in path.absolute().parents if above.exists())
-    with tempfile.TemporaryFile(dir=folder):
-        pass
 
 
 class Journal:
@@ -81,11 +29,8 @@ class Journal:
         """Nothing is printed yet."""
         self.route = route
         self.quiet = quiet
-        self.frames = 0
-        self.right = 0
-        self.doubtful = 0
-        self.milliseconds = 0.0
-        self.reading = 0.0
+        self.frames = self.right = self.doubtful = 0
+        self.milliseconds = self.reading = 0.0
         self.runs = np.zeros(len(route.techniques), np.int64)
         self.run_milliseconds = np.zeros(len(route.techniques))
 
@@ -132,56 +77,61 @@ class Journal:
             )
         lines.append(f"{'technique':<16} {'runs/frame':>10} {'ms/run':>8}")
         for t, name in enumerate(self.route.techniques):
-            share = self.runs[t] / self.frames
             mean = f"{self.run_milliseconds[t] / self.runs[t]:.1f}" if self.runs[t] else "-"
-            lines.append(f"{name:<16} {share:>10.2f} {mean:>8}")
+            lines.append(f"{name:<16} {self.runs[t] / self.frames:>10.2f} {mean:>8}")
         return lines
-
-
-class Screen:
-    """Draws sightings into a video and a window, where there are any.
-
-    Leaving it finishes the video, by Ctrl-C too.
-    """
-
-    def __init__(
-        self, pictures: Pictures, video: VideoWriter | None, window: Window | None
-    ) -> None:
-        """Nothing is drawn yet."""
-        self.pictures = pictures
-        self.video = video
-        self.window = window
-
-    def show(self, sighting: Sighting) -> bool:
-        """Draw a frame; False once the user has closed the window."""
-        if self.video is None and self.window is None:
-            return True
-        picture = self.pictures.draw(sighting)
-        if self.video is not None:
-            self.video.write(picture)
-        if self.window is None:
-            return True
-        self.window.show(picture)
-        return not self.window.closed_by_user
-
-    def __enter__(self) -> Screen:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.video is not None:
-            self.video.close()
 
 
 def line(sighting: Sighting, right: bool | None) -> str:
     """One frame; a wrong place is marked where the truth is known."""
     p = "-" if sighting.p_correct is None else f"{sighting.p_correct:.2f}"
     words = " + ".join(sighting.active) or "nothing"
-    late = int(sighting.late_runs.sum())
     if sighting.selection:
-        words += f"  (selection, {late} late runs)"
+        words += f"  (selection, {sighting.late_runs.sum()} late runs)"
     place = str(sighting.prediction) if sighting.prediction >= 0 else "-"
     mark = "!" if right is False else " "
     return (
         f"{sighting.frame:>6} {place:>6}{mark}{sighting.confidence:>10.2f} {p:>5}"
         f" {sighting.milliseconds:>8.1f}  {words}"
     )
+
+
+def check_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, str | None]) -> None:
+    """Refuse files that cannot be written, or that would replace what is read, before any work.
+
+    Args:
+        outputs: option -> the file that it writes; None: not given.
+        inputs: option -> what it reads.
+
+    Raises:
+        ValueError: naming the option and the mend.
+    """
+    taken = [(option, Path(path)) for option, path in inputs.items() if path is not None]
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        for other, used in taken:
+            same = path.exists() and used.exists() and path.samefile(used)  # links, or case
+            if same or path.resolve() == used.resolve():
+                raise ValueError(
+                    f"{option} {path} is the file of {other} too and would replace it; give"
+                    " another file"
+                )
+        taken.append((option, path))
+        if path.is_dir():
+            raise ValueError(f"{option} {path} is a folder; give a file in it")
+        try:
+            _try_writing(path)
+        except OSError as error:
+            raise ValueError(
+                f"{option} {path} cannot be written ({error.strerror}); give another file"
+            ) from None
+
+
+def _try_writing(path: Path) -> None:
+    """Open ``path`` for writing, or a nameless file where its folder is or would be made."""
+    if path.is_file():
+        path.open("ab").close()
+    elif not path.exists():
+        folder = next(above for above in path.absolute().parents if above.exists())
+        tempfile.TemporaryFile(dir=folder).close()
