@@ -9,6 +9,7 @@ run that was stopped goes on where it was.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from _cli import Parser, destination, run
@@ -22,7 +23,7 @@ ALGORITHM = {"evidence": "rollouts", "belief": "imitation+ppo"}
 TIMESTEPS = 2_000_000
 SEED = 0
 REWARD = "ground_truth"
-"""Of the simulated routes: a selector that is rewarded with p̂ learns to please it."""
+"""Of the simulated routes: a selector that is rewarded with p̂ learns to exploit its errors."""
 
 
 def is_same(out: Path, folder: Path) -> bool:
@@ -39,31 +40,25 @@ def ship(out: Path, folder: Path) -> None:
     Raises:
         ValueError: if the selector in ``folder`` does better on the held-out routes.
     """
-    from amusic_agents.run_folder import SELECTOR, read_config, write_config
+    from amusic_agents.run_folder import SELECTOR, read_config, stored_config, write_config
 
     from amusic_gym.utils.storage import write_whole
 
     if not is_same(out, folder):
-        _refuse_worse(out, folder)
+        routes = stored_config(out).held_out
+        ours, theirs = score(out, routes), -math.inf
+        try:
+            theirs = score(folder, routes)
+        except (FileNotFoundError, ValueError) as error:  # of another version, say
+            print(f"No selector to compare with in {folder}: {error}")
+        if ours < theirs:
+            raise ValueError(
+                f"the selector in {folder} reaches a score of {theirs:.4f} on {routes} held-out"
+                f" routes, that in {out} only {ours:.4f}; leave out --ship, or delete"
+                f" {folder / SELECTOR} first"
+            )
     write_whole(folder / SELECTOR, (out / SELECTOR).read_bytes())
     write_config(folder, read_config(out))
-
-
-def _refuse_worse(out: Path, folder: Path) -> None:
-    from amusic_agents.run_folder import SELECTOR, stored_config
-
-    routes = stored_config(out).held_out
-    ours = score(out, routes)
-    try:
-        theirs = score(folder, routes)
-    except (FileNotFoundError, ValueError) as error:  # of another version, say: of no use to anyone
-        print(f"No selector to compare with in {folder}: {error}")
-        return
-    if ours < theirs:
-        raise ValueError(
-            f"the selector in {folder} reaches a score of {theirs:.4f} on {routes} held-out routes,"
-            f" that in {out} only {ours:.4f}; leave out --ship, or delete {folder / SELECTOR} first"
-        )
 
 
 def score(run: Path, routes: int) -> float:

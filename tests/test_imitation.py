@@ -296,7 +296,7 @@ def whole(tmp_path_factory, quick) -> Path:
     [
         (ImitationLearner, "_drive", 1),
         (ImitationLearner, "_drive", 3),
-        (ImitationLearner, "_learn", 2),
+        (imitation, "fit", 2),
         (Quick, "evaluate", 2),
         (records, "write_tensors", 1),  # the first round's checkpoint
         (records, "write_tensors", 2),

@@ -13,8 +13,8 @@ from amusic_agents import policy_iteration, records
 from amusic_agents.config import RolloutConfig, TrainingConfig, training_config
 from amusic_agents.network import PRESENT, ROUTE_WIDTH, WIDTH
 from amusic_agents.policy_iteration import (
-    PACE,
-    Behaviour,
+    ACTION_REPEAT,
+    BehaviourPolicy,
     Samples,
     draw_subset,
     draw_subsets,
@@ -230,7 +230,7 @@ class Constant:
 
 def spells(seed: int, share: float, policy: Any = None, frames: int = 300) -> np.ndarray:
     """(frames, N, S) actions of six techniques, one of them absent."""
-    drives = Behaviour(4, 6, policy, share, np.random.default_rng(seed))
+    drives = BehaviourPolicy(4, 6, policy, share, np.random.default_rng(seed))
     present = np.ones((4, 6), np.bool_)
     present[:, 3] = False
     seen = np.zeros((4, 1), np.float32)
@@ -294,7 +294,7 @@ class ByHand:
         action, correctness, compute, observation = subset, 0.0, 0.0, None
         for frame in range(self.settings.horizon):
             since = frame - self.settings.hold
-            if self.policy and since >= 0 and since % PACE == 0:
+            if self.policy and since >= 0 and since % ACTION_REPEAT == 0:
                 action = self.policy.act(observation[None], {})[0]
             observation, reward, ended, _, info = env.step(action)
             self.ran.append(tuple(info["ran"].tolist()))

@@ -182,6 +182,7 @@ def test_31_weights_of_another_network_are_refused_by_layer(copy, command):
     change(copy, SELECTOR, {"conv1.weight": torch.zeros(3)})
     with pytest.raises(ValueError, match="layer 'conv1.weight' .* needs none"):
         load_selector(copy)
+    change(copy, SELECTOR, {"conv1.weight": None})
     change(copy, CHECKPOINT, {"policy.value_net.weight": torch.zeros(1, 3)})
     status, lines = command("--out", copy, "--resume", "--timesteps", 128)
     assert status == 2

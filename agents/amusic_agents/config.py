@@ -173,7 +173,7 @@ class TrainingConfig(Settings):
         discount: whether MuSIC discounts alike rows; None: as the statistic has it.
         allow_idle: whether the selector may run nothing on a frame; by policy iteration only.
         reward: name in `amusic_gym.envs.rewards.REWARDS`; ``"ground_truth"`` learns from what is
-            true on the training routes instead of from p̂, which a selector may learn to please.
+            true on the training routes instead of from p̂, whose errors a selector may exploit.
         compute_weights: range from which every episode draws λ, on a logarithmic scale.
         simulation: name → value or (low, high), of ranges that training routes are drawn from
             instead of those of `amusic_gym.routes.simulate.population`.

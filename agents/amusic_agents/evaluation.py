@@ -26,7 +26,7 @@ class Evaluation(NamedTuple):
         score: correct − λ · compute per frame, with true correctness.
         accuracy: share of frames with a true place.
         compute: seconds / (frames · Σ seconds).
-        p_correct: mean p̂; far above ``accuracy`` it says that the selector fools it.
+        p_correct: mean p̂; far above ``accuracy`` where the selector exploits its errors.
     """
 
     timesteps: int

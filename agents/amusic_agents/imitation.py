@@ -97,61 +97,42 @@ class ImitationLearner:
         number = len(self.rounds)
         rng = np.random.default_rng([self.config.seed, number])
         share, end = self.settings.teacher_share**number, (number + 1) * self.frames
-        seen = self.observations[end - self.frames : end], self.labels[end - self.frames : end]
-        self._drive(rng, share, *seen, bar)
-        agreed = self._agreement(*seen)
-        loss = self._learn(rng, end)
+        agreed = self._drive(rng, share, slice(end - self.frames, end), bar)
+
+        def loss_of(batch: torch.Tensor) -> torch.Tensor:
+            return cross_entropy(self.network, self.observations[batch], self.labels[batch])
+
+        batches = -(-end // self.settings.batch_size)
+        loss = fit(self.network, loss_of, end, batches, self.settings, rng)
         result = self.records.evaluate(self.network, end)
         self.rounds.append(Round(share, agreed, loss))
         self._save()
         bar.set_postfix(agreement=f"{agreed:.3f}", score=f"{result.score:.3f}")
 
-    def _drive(
-        self,
-        rng: np.random.Generator,
-        share: float,
-        observations: torch.Tensor,
-        labels: torch.Tensor,
-        bar: tqdm,
-    ) -> None:
-        """Drive on all routes, from their beginnings; the teacher labels every frame."""
-        routes = self.config.n_envs
-        seen = observations.numpy().reshape(self.steps, routes, -1)
-        said = labels.numpy().reshape(self.steps, routes, -1)
+    def _drive(self, rng: np.random.Generator, share: float, rows: slice, bar: tqdm) -> float:
+        """Drive on all routes, from their beginnings; the teacher labels every frame.
+
+        Returns:
+            The share of the bits that the student would have set as the teacher said.
+        """
+        routes, agreed = self.config.n_envs, []
+        observations = self.observations[rows].numpy().reshape(self.steps, routes, -1)
+        labels = self.labels[rows].numpy().reshape(self.steps, routes, -1)
         observation, info = self.env.reset(seed=int(rng.integers(2**31)))
         begun = np.ones(routes, np.bool_)
         taught = np.zeros(routes, np.bool_)  # driven by the teacher
         for step in range(self.steps):
             self.teacher.reset(begun)
             taught = np.where(begun, rng.random(routes) < share, taught)
-            seen[step] = observation
-            said[step] = self.teacher.act(observation, info)
+            observations[step] = observation
+            labels[step] = self.teacher.act(observation, info)
             own = self.student.act(observation, info)
-            actions = np.where(taught[:, None], said[step], own)
+            agreed.append((own == labels[step])[info["present"]])
+            actions = np.where(taught[:, None], labels[step], own)
             observation, _, terminated, truncated, info = self.env.step(actions)
             begun = terminated | truncated
             bar.update(routes)
-
-    @torch.no_grad()
-    def _agreement(self, observations: torch.Tensor, labels: torch.Tensor) -> float:
-        """Share of the bits that the student would have set as the teacher did."""
-        same, bits = 0, 0
-        size = self.settings.batch_size
-        for seen, said in zip(observations.split(size), labels.split(size), strict=True):
-            present = presence(seen)
-            runs = self.network.logits(seen) > 0.0
-            same += int(((runs == said) & present).sum())
-            bits += int(present.sum())
-        return same / bits
-
-    def _learn(self, rng: np.random.Generator, seen: int) -> float:
-        """Fit the network to the first ``seen`` frames; mean loss of the last pass."""
-        batches = -(-seen // self.settings.batch_size)
-
-        def loss(batch: torch.Tensor) -> torch.Tensor:
-            return cross_entropy(self.network, self.observations[batch], self.labels[batch])
-
-        return fit(self.network, loss, seen, batches, self.settings, rng)
+        return float(np.concatenate(agreed).mean())
 
     def _save(self) -> None:
         tensors = {f"network.{name}": value for name, value in self.network.state_dict().items()}
@@ -167,11 +148,7 @@ class ImitationLearner:
         write_table(self.records.out / TABLE, ("round", *Round._fields), rows)
 
     def restore(self) -> None:
-        """Go back to the end of the last whole round.
-
-        Raises:
-            ValueError: if the checkpoint is damaged.
-        """
+        """Go back to the end of the last whole round; a damaged checkpoint is refused."""
         with self.records.restoring(self.network) as (tensors, metadata):
             path = self.records.out / CHECKPOINT
             rounds = [Round(*row) for row in read_list(path, metadata, "rounds")]

@@ -43,7 +43,7 @@ SPELL = (3, 50)
 PART = 1000
 """States that are collected in one go, from the beginning of every route on."""
 
-PACE = 2
+ACTION_REPEAT = 2
 """Frames between two decisions of the policy in a rollout; half of the time goes into them."""
 
 
@@ -75,9 +75,6 @@ class RolloutLearner:
         config: how; ``config.rollouts`` above all.
         source: routes to drive on.
         records: of the run folder.
-
-    Raises:
-        ValueError: for routes of too many techniques.
     """
 
     kind = SubsetSelector
@@ -136,11 +133,7 @@ class RolloutLearner:
         self.records.save(tensors, {"done": str(self.done)})
 
     def restore(self) -> None:
-        """Go back to the end of the last whole iteration.
-
-        Raises:
-            ValueError: if the checkpoint is damaged.
-        """
+        """Go back to the end of the last whole iteration; a damaged checkpoint is refused."""
         network = SubsetNetwork(SubsetSizes())
         with self.records.restoring(network) as (tensors, metadata):
             weights = part(tensors, "network.")
@@ -169,10 +162,10 @@ class RolloutLearner:
 # ---- collecting ----------------------------------------------------------------------------
 
 
-class Behaviour:
-    """How the drives of a collection go: each spell by the policy, or by one subset.
+class BehaviourPolicy:
+    """Drives the routes of a collection: each spell by the policy so far, or by one subset.
 
-    Spells of a subset bring a drive where the policy would not, and where it must find back from.
+    Subsets lead to states that the policy would not come to, and must recover from.
 
     Args:
         routes: N.
@@ -308,7 +301,7 @@ def collect(
     slots = env.task.slots
     observation, info = env.reset(seed=int(rng.integers(2**31)))
     idle = env.task.episodes.rules.allow_idle
-    drives = Behaviour(env.num_envs, slots, policy, settings.share, rng, idle)
+    drives = BehaviourPolicy(env.num_envs, slots, policy, settings.share, rng, idle)
     parts: list[Samples] = []
     steps = -(-min(PART, settings.states) // env.num_envs) * settings.every
     for step in range(steps):
@@ -358,7 +351,12 @@ def roll_out(
     observation: NDArray[np.float32] | None = None
     for frame, weight in enumerate(weights):
         since = frame - settings.hold
-        if policy is not None and observation is not None and since >= 0 and since % PACE == 0:
+        if (
+            policy is not None
+            and observation is not None
+            and since >= 0
+            and since % ACTION_REPEAT == 0
+        ):
             actions = policy.act(observation, {})
         out, _, terms = copies.step(actions, active)
         rewards = sum((v for k, v in terms.items() if k != "compute"), np.zeros(len(first)))

@@ -279,10 +279,10 @@ class ReselectLearner(PPOLearner):
     @staticmethod
     def make_env(config: TrainingConfig, source: RouteSource) -> TechniqueSelectionVectorEnv:
         """The environment with its re-select bit, as one decision."""
-        return make_env(config, source, HoldingVectorEnv, reselection=BLOCK)
+        return make_env(config, source, ReselectVectorEnv, reselection=BLOCK)
 
 
-class HoldingVectorEnv(TechniqueSelectionVectorEnv):
+class ReselectVectorEnv(TechniqueSelectionVectorEnv):
     """The environment to learn in, with one bit, `Discrete(2)`: whether to select again.
 
     Args:

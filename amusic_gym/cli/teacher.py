@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,17 +32,12 @@ EVERYTHING = 99
 """Always running so many of the cheapest techniques is running all."""
 
 
-@dataclass(frozen=True)
-class Parameters:
+class Parameters(NamedTuple):
     """Arguments of a :class:`amusic_baselines.cascade.Cascade`."""
 
     cheap: int
     hold: int
     threshold: float
-
-    def cascade(self) -> Cascade:
-        """The cascade."""
-        return Cascade(**asdict(self))
 
 
 GRID: tuple[Parameters, ...] = (
@@ -97,10 +92,12 @@ def make_teacher(
         _, middles = partition((low, high), PARTS if low < high else 1)
         how: dict[str, Any] = {"statistic": config.statistic, "environment": config.environment()}
         choices = choose_cascades(teacher_routes(config, routes), middles, grid=grid, **how)
-        rows = [{**choice._asdict(), "parameters": asdict(choice.parameters)} for choice in choices]
+        rows = [
+            {**choice._asdict(), "parameters": choice.parameters._asdict()} for choice in choices
+        ]
         write_whole(path, (json.dumps(rows, indent=1) + "\n").encode())
     edges, _ = partition((low, high), len(choices))
-    return ByWeight(edges, [choice.parameters.cascade() for choice in choices])
+    return ByWeight(edges, [Cascade(*choice.parameters) for choice in choices])
 
 
 def teacher_routes(config: TrainingConfig, routes: int = ROUTES) -> list[ScoreBank]:
@@ -134,7 +131,7 @@ def choose_cascades(
     jobs = [Job(bank) for bank in banks]
     options = {"statistic": statistic, **(environment or {})}
     bar = tqdm(grid, desc="choosing the teacher", disable=not progress)
-    means = [measure(each.cascade(), jobs, **options)[:2].mean(axis=1) for each in bar]
+    means = [measure(Cascade(*each), jobs, **options)[:2].mean(axis=1) for each in bar]
     accuracy, cost = np.array(means).T
     choices = []
     for weight in weights:
