@@ -27,9 +27,12 @@ FOLDERS = {"amusic_baselines": "baselines", "amusic_agents": "agents"}
 
 # Inside amusic_gym: the rooms, each built on those before it only.
 ROOMS = (
-    *("utils", "kernels", "techniques", "banks", "routes", "worlds", "extraction", "estimation"),
-    *("policies", "envs", "live", "evaluation", "cli"),
+    *("utils", "kernels", "techniques", "banks", "routes", "worlds", "pretraining"),
+    *("extraction", "estimation", "policies", "envs", "live", "evaluation", "cli"),
 )
+
+WINGS = ("worlds", "pretraining")
+"""Rooms that only their ``__init__`` opens."""
 
 
 def loaded_after(code: str) -> set[str]:
@@ -94,6 +97,18 @@ def test_policies_that_are_not_learned_need_no_network():
     assert not loaded.intersection(set(HEAVY) - {"numba"})
 
 
+@pytest.mark.parametrize("words", [[], ["bank"], ["bank", "images"]])
+def test_help_is_quick(words):
+    """What it shows is read from modules that load nothing heavy."""
+    loaded = loaded_after(
+        "import contextlib, sys\n"
+        f"sys.argv = ['amusic', *{words}, '--help']\n"
+        "from amusic_gym.cli import main\n"
+        "with contextlib.suppress(SystemExit): main()"
+    )
+    assert not loaded.intersection(HEAVY)
+
+
 @pytest.mark.parametrize("package", ALLOWED)
 def test_packages_import_one_way(package):
     wrong = []
@@ -116,6 +131,20 @@ def test_rooms_import_one_way(room):
             pieces = name.split(".")
             if pieces[0] == "amusic_gym" and pieces[1] in later:
                 wrong.append(f"{file.relative_to(ROOT)} imports {name}")
+    assert not wrong
+
+
+@pytest.mark.parametrize("wing", WINGS)
+def test_a_closed_wing_is_entered_by_its_door_only(wing):
+    inside, door = ROOT / "amusic_gym" / wing, f"amusic_gym.{wing}"
+    modules = {f"{door}.{file.stem}" for file in files(inside)}
+    wrong = []
+    for package in ALLOWED:
+        for file in files(ROOT / FOLDERS.get(package, ".") / package):
+            for name in imports(file.read_text(encoding="utf-8")):
+                behind = any(f"{name}.".startswith(f"{module}.") for module in modules)
+                if behind and inside not in file.parents:
+                    wrong.append(f"{file.relative_to(ROOT)} imports {name}")
     assert not wrong
 
 

@@ -49,10 +49,10 @@ from stable_baselines3.common.callbacks import CheckpointCallback
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.envs.observation import TECHNIQUE_FEATURES
+from amusic_gym.envs.outcome import Outcome
 from amusic_gym.envs.sources import Banks
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
-from amusic_gym.estimation.observation import TECHNIQUE_FEATURES
-from amusic_gym.estimation.records import Outcome
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation.rollout import rollout
 

@@ -31,7 +31,7 @@ from env_cases import random_bank
 from safetensors.torch import load_file, save_file
 from small_training import SMALL, train_script
 
-from amusic_gym.estimation.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
+from amusic_gym.envs.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation.rollout import rollout
 

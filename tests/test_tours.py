@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.extraction import BLOCK, describe_map, extract
-from amusic_gym.extraction.describe import Plan, images_of
+from amusic_gym.extraction.describe import ExtractionPlan, images_of
 from amusic_gym.routes import folders as folders_module
 from amusic_gym.routes.conditions import CONDITIONS, Change, Condition
 from amusic_gym.routes.folders import ImageFolder
@@ -181,7 +181,7 @@ def test_the_cache_tells_conditions_strengths_seeds_and_frames_apart(parts):
     ):
         change = Change(Condition.parse(text), seed, frame)
         images = images_of(folder.under([change] * len(folder)))
-        plan = Plan.of(Tiny(), images, images)
+        plan = ExtractionPlan(Tiny(), images, images)
         keys |= {plan.descriptor_key(block, query=True) for block in plan.queries}
         keys.add(plan.score_key(plan.queries[0], images_of(folder)))
     assert len(keys) == 7 * 3  # two blocks, and scores

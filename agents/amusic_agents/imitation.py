@@ -21,8 +21,8 @@ from amusic_agents.network import SelectorNetwork, presence
 from amusic_agents.records import Records
 from amusic_agents.run_folder import CHECKPOINT, check_layers, part, read_list, write_table
 from amusic_agents.selector import TrainedSelector
+from amusic_gym.envs.observation import observation_size
 from amusic_gym.envs.sources import RouteSource
-from amusic_gym.estimation.observation import observation_size
 from amusic_gym.policies.protocol import Correction, Needs, Selector
 
 TABLE = "imitation.csv"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from amusic_agents.config import NetworkConfig, SetSizes
-from amusic_gym.estimation.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
+from amusic_gym.envs.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.policies.protocol import Needs
 

@@ -32,10 +32,10 @@ from amusic_agents.learning import fit, make_env
 from amusic_agents.records import Records
 from amusic_agents.run_folder import CHECKPOINT, check_layers, part
 from amusic_agents.subsets import MOST_SLOTS, SubsetNetwork, SubsetSelector, SubsetSizes
+from amusic_gym.envs.observation import observation_size
 from amusic_gym.envs.sources import RouteSource
 from amusic_gym.envs.task import Task
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
-from amusic_gym.estimation.observation import observation_size
 
 SPELL = (3, 50)
 """Frames for which a route of a collection is driven in one way: by the policy, or by a subset."""
@@ -300,7 +300,7 @@ def collect(
     """
     slots = env.task.slots
     observation, info = env.reset(seed=int(rng.integers(2**31)))
-    idle = env.task.episodes.rules.allow_idle
+    idle = env.task.episodes.allow_idle
     drives = BehaviourPolicy(env.num_envs, slots, policy, settings.share, rng, idle)
     parts: list[Samples] = []
     steps = -(-min(PART, settings.states) // env.num_envs) * settings.every

@@ -31,7 +31,7 @@ from amusic_agents.config import ImitationConfig, NetworkConfig, RolloutConfig, 
 from amusic_agents.evaluation import Evaluation
 from amusic_agents.network import VERSION as NETWORK_VERSION
 from amusic_gym import __version__
-from amusic_gym.estimation.observation import VERSION as OBSERVATION_VERSION
+from amusic_gym.envs.observation import VERSION as OBSERVATION_VERSION
 from amusic_gym.estimation.settings import STATISTICS
 from amusic_gym.utils.escaping import CsvWriter
 from amusic_gym.utils.storage import parse_json, read_json, write_whole

@@ -18,7 +18,7 @@ from torch import nn
 
 from amusic_agents.config import WIDEST, SetSizes, count
 from amusic_agents.network import ROUTE_WIDTH, NetworkSelector, SetEncoder, presence
-from amusic_gym.estimation.observation import ROUTE_FEATURES
+from amusic_gym.envs.observation import ROUTE_FEATURES
 from amusic_gym.estimation.settings import COMPUTE_WEIGHT_RANGE
 
 WEIGHT = ROUTE_FEATURES.index("compute_weight")

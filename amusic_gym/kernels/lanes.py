@@ -6,10 +6,15 @@ means; LLVM still chooses the instructions, and splits values where registers ar
 
 They work in compiled code only. Arrays are float32 in C order, positions count numbers, and
 nothing is checked.
+
+Private parts of Numba: `cgutils.get_or_insert_function`, to call a function of LLVM's, and
+`context.make_array`, for an array's address. tests/test_lanes.py fails where they change.
 """
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]
@@ -22,7 +27,9 @@ LANES = 8
 
 _FLOATS: Any = ir.VectorType(ir.FloatType(), LANES)
 _INDEX: Any = ir.IntType(32)
-_declared: Any = cgutils.get_or_insert_function
+_UNDEFINED: Any = ir.Constant(_FLOATS, ir.Undefined)
+_intrinsic: Any = intrinsic  # typed, its functions would want Numba's typing context
+_insert_function: Any = cgutils.get_or_insert_function
 
 
 class _Lanes(types.Type):
@@ -37,13 +44,27 @@ _lanes = _Lanes()
 
 @register_model(_Lanes)
 class _LanesModel(models.PrimitiveModel):
-    """How the type lies in memory: as LLVM's vector."""
+    """The type in memory: LLVM's vector."""
 
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, _FLOATS)  # type: ignore[no-untyped-call]
 
 
+def _of_lanes(build: Callable[..., Any]) -> Any:
+    """A function of lanes that gives lanes; ``build(builder, *values)`` emits its code."""
+
+    def typed(typing_context: Any, *values: Any) -> Any:
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return build(builder, *arguments)
+
+        return _lanes(*values), codegen
+
+    vars(typed)["__signature__"] = inspect.signature(build)  # Numba asks how many values
+    return _intrinsic(typed)
+
+
 def _at(context: Any, builder: Any, array_type: Any, array: Any, position: Any) -> Any:
+    """Address of a number in an array."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.gep(data, [position], inbounds=True)
 
@@ -54,23 +75,26 @@ def _as_floats(builder: Any, pointer: Any) -> Any:
 
 def _shuffled(builder: Any, value: Any, order: list[int]) -> Any:
     indices = ir.Constant(ir.VectorType(_INDEX, LANES), order)
-    return builder.shuffle_vector(value, ir.Constant(_FLOATS, ir.Undefined), indices)
+    return builder.shuffle_vector(value, _UNDEFINED, indices)
 
 
-def _call(builder: Any, name: str, arguments: list[Any], **options: Any) -> Any:
+def _call(builder: Any, name: str, arguments: tuple[Any, ...], **options: Any) -> Any:
     """Call a function of LLVM's that takes values of eight lanes and gives one."""
     kind = ir.FunctionType(_FLOATS, [_FLOATS] * len(arguments))
-    function = _declared(builder.module, kind, f"llvm.{name}.v{LANES}f32")
+    function = _insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f32")
     return builder.call(function, arguments, **options)
 
 
 def _maximum(builder: Any, left: Any, right: Any) -> Any:
     # Without NaN it is one instruction. A comparison and a choice would be one too, but next to a
     # store LLVM makes a masked store of them, which some processors run very slowly.
-    return _call(builder, "maxnum", [left, right], fastmath=("nnan", "nsz"))
+    return _call(builder, "maxnum", (left, right), fastmath=("nnan", "nsz"))
 
 
-def _load(typing_context: Any, array: Any, position: Any) -> Any:
+@_intrinsic  # type: ignore[untyped-decorator]
+def load(typing_context: Any, array: Any, position: Any) -> Any:
+    """``load(array, position)``: the numbers from ``position`` on."""
+
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointer = _at(context, builder, signature.args[0], *arguments)
         return builder.load(_as_floats(builder, pointer), align=4)
@@ -78,7 +102,10 @@ def _load(typing_context: Any, array: Any, position: Any) -> Any:
     return _lanes(array, types.intp), codegen
 
 
-def _store(typing_context: Any, array: Any, position: Any, value: Any) -> Any:
+@_intrinsic  # type: ignore[untyped-decorator]
+def store(typing_context: Any, array: Any, position: Any, value: Any) -> Any:
+    """``store(array, position, value)``: put them there."""
+
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointer = _at(context, builder, signature.args[0], *arguments[:2])
         builder.store(arguments[2], _as_floats(builder, pointer), align=4)
@@ -87,39 +114,22 @@ def _store(typing_context: Any, array: Any, position: Any, value: Any) -> Any:
     return types.void(array, types.intp, _lanes), codegen
 
 
-def _spread(typing_context: Any, array: Any, position: Any) -> Any:
+@_intrinsic  # type: ignore[untyped-decorator]
+def spread(typing_context: Any, array: Any, position: Any) -> Any:
+    """``spread(array, position)``: the number at ``position``, in all lanes."""
+
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         number = builder.load(_at(context, builder, signature.args[0], *arguments))
-        undefined = ir.Constant(_FLOATS, ir.Undefined)
-        first = builder.insert_element(undefined, number, ir.Constant(_INDEX, 0))
+        first = builder.insert_element(_UNDEFINED, number, ir.Constant(_INDEX, 0))
         return _shuffled(builder, first, [0] * LANES)
 
     return _lanes(array, types.intp), codegen
 
 
-def _zeros(typing_context: Any) -> Any:
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return ir.Constant(_FLOATS, [0.0] * LANES)
+@_intrinsic  # type: ignore[untyped-decorator]
+def largest(typing_context: Any, value: Any) -> Any:
+    """``largest(value)``: the largest of the lanes, a float32; no NaN."""
 
-    return _lanes(), codegen
-
-
-def _multiply_add(typing_context: Any, left: Any, right: Any, addend: Any) -> Any:
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        # One rounding where the processor can, else two.
-        return _call(builder, "fmuladd", list(arguments))
-
-    return _lanes(_lanes, _lanes, _lanes), codegen
-
-
-def _greater(typing_context: Any, left: Any, right: Any) -> Any:
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return _maximum(builder, *arguments)
-
-    return _lanes(_lanes, _lanes), codegen
-
-
-def _largest(typing_context: Any, value: Any) -> Any:
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         (found,) = arguments
         distance = LANES // 2
@@ -132,43 +142,19 @@ def _largest(typing_context: Any, value: Any) -> Any:
     return types.float32(_lanes), codegen
 
 
-def _add(typing_context: Any, left: Any, right: Any) -> Any:
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.fadd(*arguments)
-
-    return _lanes(_lanes, _lanes), codegen
-
-
-def _multiply(typing_context: Any, left: Any, right: Any) -> Any:
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.fmul(*arguments)
-
-    return _lanes(_lanes, _lanes), codegen
-
-
-load: Any = intrinsic(_load)
-"""``load(array, position)``: the numbers from ``position`` on."""
-
-store: Any = intrinsic(_store)
-"""``store(array, position, value)``: put them there."""
-
-spread: Any = intrinsic(_spread)
-"""``spread(array, position)``: the number at ``position``, in all lanes."""
-
-zeros: Any = intrinsic(_zeros)
+zeros: Any = _of_lanes(lambda builder: ir.Constant(_FLOATS, [0.0] * LANES))
 """``zeros()``."""
 
-add: Any = intrinsic(_add)
+add: Any = _of_lanes(lambda builder, left, right: builder.fadd(left, right))
 """``add(left, right)``: left + right."""
 
-multiply: Any = intrinsic(_multiply)
+multiply: Any = _of_lanes(lambda builder, left, right: builder.fmul(left, right))
 """``multiply(left, right)``: left · right, lane by lane."""
 
-multiply_add: Any = intrinsic(_multiply_add)
-"""``multiply_add(left, right, addend)``: left · right + addend."""
+multiply_add: Any = _of_lanes(
+    lambda builder, left, right, addend: _call(builder, "fmuladd", (left, right, addend))
+)
+"""``multiply_add(left, right, addend)``: left · right + addend; one rounding where possible."""
 
-greater: Any = intrinsic(_greater)
+greater: Any = _of_lanes(_maximum)
 """``greater(left, right)``: the greater one, lane by lane; no NaN."""
-
-largest: Any = intrinsic(_largest)
-"""``largest(value)``: the largest of the lanes, a float32; no NaN."""

@@ -14,7 +14,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class World:
+class RouteModel:
     """What all techniques share on one route."""
 
     place: NDArray[np.float64]  # (Q,) position of each frame, in places, may lie between two

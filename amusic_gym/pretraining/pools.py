@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
-from _training_cameras import HEIGHT, WIDTH, Image
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 from tqdm import tqdm
 
 from amusic_gym import worlds
+from amusic_gym.pretraining.cameras import HEIGHT, WIDTH, Image
+from amusic_gym.utils.imports import digest_of
 from amusic_gym.utils.storage import write_whole
 from amusic_gym.worlds import CONDITIONS, KINDS, SPACING, World, render
 
@@ -76,11 +76,7 @@ class Pool:
 
 def renderer_digest() -> str:
     """SHA-256 of the renderer's source files: other code may draw other images."""
-    digest = hashlib.sha256()
-    folder = Path(worlds.__file__).parent
-    for path in sorted(folder.glob("*.py")):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()
+    return digest_of(*sorted(Path(worlds.__file__).parent.glob("*.py")))
 
 
 def make_pool(

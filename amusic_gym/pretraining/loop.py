@@ -8,7 +8,6 @@ import math
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -19,10 +18,8 @@ from safetensors.torch import save
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from amusic_gym.pretraining.job import Job
 from amusic_gym.utils.storage import write_whole
-
-Settings = Mapping[str, Any]
-Draw = Callable[[np.random.Generator], Tensor]
 
 SAVE_EVERY = 100
 """Steps between checkpoints; Ctrl-C makes one too."""
@@ -43,12 +40,8 @@ def learning_rate(step: int, steps: int, highest: float) -> float:
 
 
 @contextlib.contextmanager
-def interrupt_later() -> Iterator[Callable[[], bool]]:
-    """Hold back Ctrl-C: half a step is nothing that one could go on from.
-
-    Yields:
-        A function that says whether Ctrl-C was pressed. A second Ctrl-C interrupts at once.
-    """
+def interrupt_later() -> Iterator[threading.Event]:
+    """Hold back Ctrl-C, which sets the event that this yields; a second one interrupts at once."""
     pressed = threading.Event()
     usual = signal.getsignal(signal.SIGINT)
 
@@ -56,31 +49,28 @@ def interrupt_later() -> Iterator[Callable[[], bool]]:
         pressed.set()
         signal.signal(signal.SIGINT, usual)
 
-    if threading.current_thread() is not threading.main_thread():
-        yield pressed.is_set  # only the main thread hears signals
-        return
     signal.signal(signal.SIGINT, note)
     try:
-        yield pressed.is_set
+        yield pressed
     finally:
         signal.signal(signal.SIGINT, usual)
 
 
 class Training:
-    """Adam on a network, from its last checkpoint if there is one.
+    """Adam on a network, from its last checkpoint if the job is resumed.
 
     All that a step draws comes from a generator of its own, seeded with the training's seed and
     the step's number, so a training that was stopped and resumed gives the same bits.
 
     Args:
         network: what is trained, on one thread.
-        checkpoint: the checkpoint's file; its folder is made.
-        settings: all that the result depends on, by name, in numbers and texts; stored, and
-            compared when resuming.
-        seed: of what the steps draw.
+        job: where the checkpoint lies.
+        stage: name of the checkpoint.
+        settings: all that the result depends on, by name, in numbers and texts, ``seed`` among
+            them; stored, and compared when resuming.
         steps: how many.
         rate: highest learning rate.
-        resume: go on from the checkpoint.
+        needed: whether resuming needs a checkpoint of this stage.
 
     Raises:
         FileNotFoundError: if there is no checkpoint to resume from.
@@ -88,33 +78,25 @@ class Training:
     """
 
     def __init__(
-        self,
-        network: nn.Module,
-        checkpoint: Path,
-        settings: Settings,
-        *,
-        seed: int,
-        steps: int,
-        rate: float,
-        resume: bool = False,
-    ) -> None:
+        self, network: nn.Module, job: Job, stage: str, settings: Mapping[str, Any], *,
+        steps: int, rate: float, needed: bool = True,
+    ) -> None:  # fmt: skip
         self.network = network
-        self.checkpoint = checkpoint
+        self.job = job
+        self.checkpoint = job.checkpoint(stage)
         self.settings: dict[str, Any] = json.loads(json.dumps(dict(settings)))
-        self.seed = seed
         self.steps = steps
         self.rate = rate
         self.optimiser = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=DECAY)
         self.losses: list[float] = []  # one per step
-        if resume:
+        if job.resume and (needed or self.checkpoint.exists()):
             self._restore()
 
-    def run(self, loss_of: Draw, *, progress: bool = True) -> list[float]:
+    def run(self, loss_of: Callable[[np.random.Generator], Tensor]) -> list[float]:
         """Train to the last step.
 
         Args:
             loss_of: draws a batch from the step's generator and gives its loss.
-            progress: whether to show a bar with the loss and the time left.
 
         Returns:
             The loss of each step.
@@ -124,22 +106,24 @@ class Training:
         """
         self.network.train()
         done = len(self.losses)
-        bar = tqdm(total=self.steps, initial=done, desc="training", disable=not progress)
+        hidden = not self.job.progress
+        bar = tqdm(total=self.steps, initial=done, desc="training", disable=hidden)
         with bar, interrupt_later() as interrupted:
             for step in range(done, self.steps):
                 loss = self._step(loss_of, step)
                 bar.set_postfix(loss=f"{loss:.4f}", refresh=False)
                 bar.update()
-                if interrupted() or step + 1 == self.steps or (step + 1) % SAVE_EVERY == 0:
-                    self.save()
-                if interrupted():
+                stop = interrupted.is_set()
+                if stop or step + 1 == self.steps or (step + 1) % SAVE_EVERY == 0:
+                    self._save()
+                if stop:
                     raise KeyboardInterrupt
         return self.losses
 
-    def _step(self, loss_of: Draw, step: int) -> float:
+    def _step(self, loss_of: Callable[[np.random.Generator], Tensor], step: int) -> float:
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate(step, self.steps, self.rate)
-        loss = loss_of(np.random.default_rng([self.seed, step]))
+        loss = loss_of(np.random.default_rng([self.settings["seed"], step]))
         self.optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
@@ -147,7 +131,7 @@ class Training:
         self.losses.append(float(loss.detach()))
         return self.losses[-1]
 
-    def save(self) -> None:
+    def _save(self) -> None:
         """Write the checkpoint, whole or not at all; no pickle in it."""
         tensors = {f"network.{name}": t for name, t in self.network.state_dict().items()}
         for index, state in self.optimiser.state_dict()["state"].items():
@@ -165,7 +149,7 @@ class Training:
             with safe_open(self.checkpoint, framework="pt") as file:
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
                 about = file.metadata() or {}
-            settings, losses = json.loads(about["settings"]), json.loads(about["losses"])
+            settings, self.losses = json.loads(about["settings"]), json.loads(about["losses"])
         except (SafetensorError, KeyError, ValueError) as error:
             raise ValueError(
                 f"{self.checkpoint} is damaged ({error}); delete it and train again"
@@ -176,10 +160,6 @@ class Training:
                     f"{name} is {self.settings.get(name)!r}, but {self.checkpoint} was made with"
                     f" {settings.get(name)!r}; give the same, or train again without --resume"
                 )
-        self._load(tensors)
-        self.losses = [float(loss) for loss in losses]
-
-    def _load(self, tensors: Mapping[str, Tensor]) -> None:
         states: dict[int, dict[str, Tensor]] = {}
         network = {}
         for name, tensor in tensors.items():

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from amusic_gym.estimation.batch import RouteState, SlotState
 from amusic_gym.estimation.settings import COMPUTE_WEIGHT_RANGE
 from amusic_gym.kernels.compiling import inner
 
@@ -72,12 +73,6 @@ SQUASH_HALF = 4.0
 TINY = 1e-9
 """Stands for 0 where a logarithm is taken."""
 
-SMOOTHING = 0.2
-"""Weight of the newest value in every running mean of the observation."""
-
-USUAL_SMOOTHING = 0.02
-"""Weight of the newest value in what is usual for a technique; of the k-th at least 1 / k."""
-
 _LOG_LOW = math.log10(COMPUTE_WEIGHT_RANGE[0])
 _LOG_SPAN = math.log10(COMPUTE_WEIGHT_RANGE[1]) - _LOG_LOW
 
@@ -97,7 +92,7 @@ def squash(value: float) -> float:
 
 
 @inner
-def observe_technique(slot: Any, route: Any, out: Any) -> None:
+def observe_technique(slot: SlotState, route: RouteState, out: NDArray[np.float32]) -> None:
     """Write one technique's group to ``out``."""
     out[0] = 1.0
     out[1] = slot.ran
@@ -124,7 +119,7 @@ def observe_technique(slot: Any, route: Any, out: Any) -> None:
 
 
 @inner
-def observe_route(route: Any, out: Any) -> None:
+def observe_route(route: RouteState, out: NDArray[np.float32]) -> None:
     """Write the route's group to ``out``."""
     out[0] = route.weight_log
     out[1] = 1.0 if route.prediction >= 0 else 0.0
@@ -150,7 +145,7 @@ def observe_route(route: Any, out: Any) -> None:
 
 
 @inner
-def observe(route: Any, slots: Any, out: Any) -> None:
+def observe(route: RouteState, slots: Any, out: NDArray[np.float32]) -> None:
     """Write the observation of one route to ``out`` (D,), float32; absent slots are zero."""
     width = len(TECHNIQUE_FEATURES)
     for s in range(slots.size):
@@ -160,7 +155,7 @@ def observe(route: Any, slots: Any, out: Any) -> None:
 
 
 def declare_costs(route: NDArray[Any], slots: NDArray[Any]) -> None:
-    """Write the entries that hold for a whole episode to its ROUTE (1,) and SLOT (S,) records."""
+    """Write the entries that hold for an episode to its route (1,) and slots (S,)."""
     present = slots["present"] > 0
     share = slots["seconds"][present] / route["total_seconds"]
     slots["cost_share"][present] = share
