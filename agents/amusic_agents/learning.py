@@ -34,12 +34,11 @@ def make_env(
         source,
         slots=source.slots,
         statistic=config.statistic,
-        **config.environment(),
         reward=config.reward,
         compute_weight=config.compute_weights,
         threads=config.threads,
         autoreset_mode="SameStep",
-        **arguments,
+        **{**config.environment(), **arguments},
     )
 
 
