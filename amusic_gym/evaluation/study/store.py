@@ -17,14 +17,14 @@ FORMAT_VERSION = 3
 
 FOLDER = "cells"
 
-_SHOWING = ("navigation", "pictures", "plots", "report", "window")
+_SHOWING = ("live", "envs.pictures", "evaluation.plots", "evaluation.report", "envs.window")
 """Modules and subpackages that only show results: a better figure costs no cell of a study."""
 
 
 def sources(package: Path = PACKAGE) -> tuple[Path, ...]:
     """The package's code that a cell's numbers depend on, and the data beside it."""
     without = [f"{package.name}.{name}" for name in _SHOWING]
-    files = source_files(package / "study" / "cells.py", package=package, without=without)
+    files = source_files(package / "evaluation" / "study" / "cells.py", package=package, without=without)
     data = {at for folder in {file.parent for file in files} for at in folder.glob("*.json")}
     return (*files, *sorted(data))
 
