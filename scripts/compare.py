@@ -14,18 +14,16 @@ import argparse
 from functools import partial
 
 from _cli import Parser, add_correction, destination, insisted, run
-from _contestants import contestants
 
 from amusic_gym.banks.bank import COST_MODELS, ScoreBank
 from amusic_gym.estimation.settings import STATISTICS, SICSettings
-from amusic_gym.evaluation.comparison import (
+from amusic_gym.evaluation.comparison import compare, draw, table
+from amusic_gym.evaluation.contestants import (
     COMPUTE_WEIGHTS,
     MOST_TECHNIQUES,
     all_subsets,
     check_weights,
-    compare,
-    draw,
-    table,
+    contestants,
 )
 
 

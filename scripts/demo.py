@@ -15,8 +15,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from _cli import Parser, destination, run
-from _contestants import contestants
-from _rivals import study_rivals
 from amusic_agents.config import RolloutConfig, TrainingConfig, stored_config
 from amusic_agents.policy_iteration import iterate_policy
 from amusic_agents.run_folder import CHECKPOINT
@@ -24,10 +22,12 @@ from amusic_agents.selector import load_selector
 
 from amusic_gym.banks.bank import COST_MODELS, ScoreBank
 from amusic_gym.banks.importers import from_recording
-from amusic_gym.evaluation.comparison import all_subsets, compare, draw, table
+from amusic_gym.evaluation.comparison import compare, draw, table
+from amusic_gym.evaluation.contestants import all_subsets, contestants
 from amusic_gym.evaluation.metrics import mean_rows
 from amusic_gym.evaluation.report import ReportFigure, write_report
 from amusic_gym.evaluation.study import figures
+from amusic_gym.evaluation.study.rivals import study_rivals
 
 import _demo_story as story  # isort: skip
 import _demo_tours as rendered  # isort: skip

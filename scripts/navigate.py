@@ -29,7 +29,6 @@ from _cli import (  # first: Ctrl-C ends well from here on
 
 # isort: split
 import numpy as np
-from _contestants import contestants
 from _drive import Journal, Screen, check_outputs
 from _folders import add_reading, map_of, run_of
 
@@ -40,7 +39,7 @@ from amusic_gym.envs.pictures.sightings import Pictures
 from amusic_gym.envs.task import RENDER_FPS
 from amusic_gym.envs.window import Window
 from amusic_gym.estimation.settings import STATISTICS, SICSettings
-from amusic_gym.evaluation.comparison import Contestant, check_weights
+from amusic_gym.evaluation.contestants import Contestant, check_weights, contestants
 from amusic_gym.evaluation.plots.labels import policy_label
 from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.map import DescribedMap, describe_map

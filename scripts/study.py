@@ -14,13 +14,13 @@ from functools import partial
 from pathlib import Path
 
 from _cli import Parser, add_correction, destination, insisted, pairs, run
-from _study_policies import Lineup
 
 from amusic_gym.banks.bank import COST_MODELS, ScoreBank
 from amusic_gym.estimation.settings import STATISTICS, SICSettings
 from amusic_gym.evaluation import study
-from amusic_gym.evaluation.comparison import COMPUTE_WEIGHTS, MOST_TECHNIQUES, check_weights
+from amusic_gym.evaluation.contestants import COMPUTE_WEIGHTS, MOST_TECHNIQUES, check_weights
 from amusic_gym.evaluation.study.figures import draw
+from amusic_gym.evaluation.study.lineup import Lineup
 from amusic_gym.evaluation.study.tables import text, write_markdown
 from amusic_gym.extraction.executors import make_executor
 

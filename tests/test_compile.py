@@ -71,7 +71,9 @@ def test_53_a_kernel_is_stale_when_any_file_of_its_code_changes(kernel, tmp_path
 
 
 def test_53_constants_of_the_observation_are_part_of_a_step():
-    assert PACKAGE / "estimation" / "observation.py" in source_files(Path(dynamics.__file__), lazily=False)
+    assert PACKAGE / "estimation" / "observation.py" in source_files(
+        Path(dynamics.__file__), lazily=False
+    )
 
 
 def test_imports_count_wherever_they_stand_but_for_type_checkers():

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import pytest
 from amusic_agents.config import RolloutConfig, TrainingConfig
 
+from amusic_gym.evaluation.study import rivals
 from amusic_gym.routes.simulate import simulate
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
@@ -102,7 +103,6 @@ def test_story_says_who_is_ahead_level_and_behind(scripts):
 def test_demo_from_worlds_to_page(scripts, monkeypatch, tmp_path, capsys):
     import _demo_drive
     import _demo_tours
-    import _rivals
     import demo
 
     small = {"n_envs": 8, "pool": 2, "held_out": 1, "threads": 1}
@@ -111,8 +111,8 @@ def test_demo_from_worlds_to_page(scripts, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(demo, "RolloutConfig", tiny)
     few = {"states": 8, "batch_size": 4, "epochs": 1}
     monkeypatch.setattr(demo, "QUICK", few)
-    monkeypatch.setattr(_rivals, "DRAWS", 2)
-    monkeypatch.setattr(_rivals, "COMPUTE_WEIGHTS", (0.1, 1.0))
+    monkeypatch.setattr(rivals, "DRAWS", 2)
+    monkeypatch.setattr(rivals, "COMPUTE_WEIGHTS", (0.1, 1.0))
     monkeypatch.setattr(_demo_tours, "PLACES", 8)
     monkeypatch.setattr(_demo_tours, "SEEDS", (1, 2))
     monkeypatch.setattr(_demo_tours, "EXECUTOR", "serial")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,21 +13,17 @@ from amusic_agents.run_folder import CONFIG, read_config, write_config, write_se
 from amusic_agents.selector import learned_from_truth
 from amusic_agents.shipped import SHIPPED, shipped
 from env_cases import random_bank
-from small_training import SCRIPTS, SMALL
+from small_training import SMALL
 from test_study import EVERYBODY, learned, plan_of
 
 from amusic_gym.evaluation import study
 from amusic_gym.evaluation.comparison import compare, table
-from amusic_gym.evaluation.marks import footnote, marked
+from amusic_gym.evaluation.contestants import contestants
 from amusic_gym.evaluation.report import write_report
 from amusic_gym.evaluation.study.figures import _styles
-from amusic_gym.evaluation.study.tables import Table, tables
-
-if str(SCRIPTS) not in sys.path:
-    sys.path.insert(0, str(SCRIPTS))
-
-from _contestants import contestants  # noqa: E402  (found by the line above)
-from _study_policies import Lineup  # noqa: E402
+from amusic_gym.evaluation.study.lineup import Lineup
+from amusic_gym.evaluation.study.tables import tables
+from amusic_gym.evaluation.tables import Table, footnote, marked
 
 NEEDS = {"oracle": "of the route itself", "switchhit": "of routes to learn from"}
 

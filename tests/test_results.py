@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.evaluation.study import rivals
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 
@@ -18,7 +19,6 @@ SCRIPTS = Path(__file__).parent.parent / "scripts"
 def results(monkeypatch, tmp_path):
     """The script's module on three recordings of 12 images, with one draw."""
     monkeypatch.syspath_prepend(str(SCRIPTS))
-    import _rivals
     import results
 
     rng = np.random.default_rng(0)
@@ -32,9 +32,9 @@ def results(monkeypatch, tmp_path):
     tours = {7: (("corridor", None), ("nordland", range(1, 11, 2))), 8: (("gardens", None),)}
     monkeypatch.setattr(results, "TOURS", tours)
     monkeypatch.setattr(results, "RECORDED", (("corridor", None), ("nordland", range(2, 9))))
-    monkeypatch.setattr(_rivals, "DRAWS", 1)
-    monkeypatch.setattr(_rivals, "COMPUTE_WEIGHTS", (0.1, 1.0))
-    monkeypatch.setattr(_rivals, "rivals", lambda techniques: ["amusic", "cascade", "voi:idle"])
+    monkeypatch.setattr(rivals, "DRAWS", 1)
+    monkeypatch.setattr(rivals, "COMPUTE_WEIGHTS", (0.1, 1.0))
+    monkeypatch.setattr(rivals, "rivals", lambda techniques: ["amusic", "cascade", "voi:idle"])
     monkeypatch.setenv("AMUSIC_DATA", str(tmp_path / "data"))
     return results
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 from amusic_agents.config import TrainingConfig, stored
@@ -12,20 +10,16 @@ from amusic_agents.run_folder import SELECTOR, read_config, write_config, write_
 from amusic_agents.selector import load_selector
 from amusic_agents.shipped import IDLING, PRETRAINED, SHIPPED, shipped
 from env_cases import random_bank
-from small_training import SCRIPTS, SMALL
+from small_training import SMALL
 
 from amusic_gym.envs.sources import SimulatedRoutes
 from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.evaluation.contestants import contestants
 from amusic_gym.evaluation.metrics import compute
 from amusic_gym.evaluation.rollout import Job, rollout, rollouts
+from amusic_gym.evaluation.study.lineup import Lineup
 from amusic_gym.policies.protocol import Context
 from amusic_gym.routes.simulate import population
-
-if str(SCRIPTS) not in sys.path:
-    sys.path.insert(0, str(SCRIPTS))
-
-from _contestants import contestants  # noqa: E402  (found by the lines above)
-from _study_policies import Lineup  # noqa: E402
 
 
 def test_one_ships_for_the_default_statistic_and_one_for_the_belief():

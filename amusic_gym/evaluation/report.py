@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from amusic_gym.estimation.settings import statistic_label
-from amusic_gym.evaluation.marks import MARK
 from amusic_gym.evaluation.plots import labels
+from amusic_gym.policies.registry import MARK
 from amusic_gym.utils.storage import write_whole
 
 PICTURES = {b"\x89PNG\r\n": "png", b"\xff\xd8\xff": "jpeg"}

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from amusic_gym.evaluation import metrics
 from amusic_gym.evaluation.plots import labels
 from amusic_gym.evaluation.plots.drawing import GREY, INK, figure_at, only, percent
+from amusic_gym.policies.registry import parse
 from amusic_gym.utils.colours import CORRECT_COLOUR, WRONG_COLOUR, technique_colours, tint
 
 if TYPE_CHECKING:
     from amusic_gym.policies.trace import Trace
-
-LINES = {"raw": ":", "subset": "--"}  # policy -> line style, solid for all others
 
 
 def precision_recall(traces: Sequence[Trace], path: str | Path) -> Path:
@@ -33,14 +32,15 @@ def precision_recall(traces: Sequence[Trace], path: str | Path) -> Path:
         drawn = []
         for trace in traces:
             precision, recall = metrics.curve(trace)
-            kind = trace.policy.partition(":")[0]
+            named = parse(trace.policy)
+            plain = named.policy.colour is None
             (line,) = axes.plot(
                 recall,
                 precision,
                 color=colours[_identity(trace)],
-                linestyle="--" if labels.is_variant(trace.policy) else LINES.get(kind, "-"),
-                linewidth=1.3 if kind in (*labels.FIXED, "raw") else 2.2,
-                zorder=2.5 if kind in (*labels.FIXED, "raw") else 3.0,
+                linestyle="--" if named.is_variant else named.policy.line,
+                linewidth=1.3 if plain else 2.2,
+                zorder=2.5 if plain else 3.0,
                 marker="o",
                 markersize=4.5,
                 markevery=[recall.size - 1],
@@ -116,18 +116,15 @@ def _curve_colours(traces: Sequence[Trace]) -> dict[tuple[str, float | None], An
     sweeps = {policy: labels.sweep_colour(i) for i, policy in enumerate(swept)}
     colours: dict[tuple[str, float | None], Any] = {}
     for trace in traces:
-        kind, _, name = trace.policy.partition(":")
+        policy, argument = parse(trace.policy)
         if trace.compute_weight is not None:
             weights = sorted(
                 w for p, w in map(_identity, traces) if p == trace.policy and w is not None
             )
             place = np.searchsorted(weights, trace.compute_weight) / max(1, len(weights) - 1)
             colours[_identity(trace)] = tint(sweeps[trace.policy], 0.45 + 0.55 * float(place))
-        elif kind in ("raw", "single") and name in techniques:
-            colours[_identity(trace)] = techniques[name]
         else:
-            plain = GREY if kind == "subset" else labels.policy_mark(trace.policy)[0]
-            colours[_identity(trace)] = plain
+            colours[_identity(trace)] = policy.colour or techniques.get(argument or "", GREY)
     return colours
 
 

@@ -10,7 +10,6 @@ from typing import Any
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.evaluation import metrics
 from amusic_gym.evaluation.audit import audit
-from amusic_gym.evaluation.comparison import Contestant
 from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.extraction.shards import Advance, nothing
 from amusic_gym.policies.protocol import Context, Policy
@@ -19,57 +18,10 @@ from amusic_gym.routes.retime import retime
 from amusic_gym.utils.threads import alone
 
 RECORDED, RETIMED = "recorded", "retimed"
-CONDITIONS = (RECORDED, RETIMED)
-"""The route as it was recorded, or driven through with stops, other speeds and jumps."""
-
-NAMES = {RECORDED: "as recorded", RETIMED: "re-timed"}
-"""The conditions in words."""
-
-FIXED, CASCADE, AMUSIC, LEARNED = "fixed", "cascade", "amusic", "learned"
-PERIODIC, VOI = "periodic", "voi"
-RANDOM, IDLE = "random", "idle"
-PEER, BOUND, VARIANT = "peer", "bound", "variant"
-FAMILIES = (FIXED, CASCADE, AMUSIC, PERIODIC, VOI, RANDOM, IDLE, LEARNED, PEER, BOUND, VARIANT)
-"""What an entrant is to the fronts: see :class:`Entrant`."""
-
-FRONTS = {
-    **{FIXED: "fixed subsets", CASCADE: "cascade", AMUSIC: "A-MuSIC"},
-    **{PERIODIC: "periodic", VOI: "value of information"},
-    **{RANDOM: "random", IDLE: "may idle"},
-}
-"""Families whose policies make one front together, and its name; others have one each."""
+CONDITIONS = {RECORDED: "as recorded", RETIMED: "re-timed"}
+"""The route as it was recorded, or driven through with stops, other speeds and jumps; in words."""
 
 Measures = dict[str, Any]
-
-
-def front_of(policy: str, family: str) -> str | None:
-    """What the front is called that an entrant is part of; None: of none."""
-    return None if family == VARIANT else FRONTS.get(family, policy)
-
-
-@dataclass(frozen=True)
-class Entrant:
-    """A policy of a study, or several runs of one training, which are its seeds.
-
-    Attributes:
-        name: in tables.
-        family: of `FAMILIES`: ``fixed`` subsets, ``cascade`` rules, ``amusic``, ``periodic``
-            rules, ``voi`` (value of information), ``random`` choice, ``idle``: any rule under which
-            nothing may run on a frame; ``learned`` selectors, ``peer`` policies, a ``bound`` that
-            no robot could run, or ``variant``: a policy under another statistic, for ablations; in
-            no front.
-        contestants: one, or one for each seed. What makes them must pickle.
-        statistic: SIC's, if it is not the study's.
-        draws: whether the policy draws: then it has a cell per seed even as recorded.
-        needs_truth: of what it needs ground truth, if it does; tables say so.
-    """
-
-    name: str
-    family: str
-    contestants: tuple[Contestant, ...]
-    statistic: str | None = None
-    draws: bool = False
-    needs_truth: str = ""
 
 
 class Bench:
@@ -177,13 +129,10 @@ LABELS = (
     "carry",
     "costs",
 )
-"""``bank``, ``policy``, ``compute_weight``, ``statistic``, ``carry``, ``costs`` as in
-``results.json``;
-``member``: which contestant of the entrant."""
+"""As in ``results.json``; ``member``: which contestant of the entrant."""
 
 AUDITED = ("p_correct", "gap", "auroc", "calibration_error")
 """Of p̂ over a cell's frames: its mean, its mean minus the accuracy, and its quality."""
-
 
 MEASURED = ("queries", *metrics.AVERAGED, *AUDITED)
 """A cell's numbers."""

@@ -12,9 +12,8 @@ import numpy as np
 
 from amusic_gym import __version__
 from amusic_gym.evaluation import bounds, metrics
-from amusic_gym.evaluation.study import cells as kinds
 from amusic_gym.evaluation.study.audits import audit_rows
-from amusic_gym.evaluation.study.cells import AUDITED, front_of
+from amusic_gym.evaluation.study.cells import AUDITED
 from amusic_gym.evaluation.study.field import BOTH, LEVEL, REPLICATES, SEEDS, Field, Point, interval
 from amusic_gym.evaluation.study.fronts import (
     BAND,
@@ -27,6 +26,7 @@ from amusic_gym.evaluation.study.fronts import (
 )
 from amusic_gym.evaluation.study.plan import MEAN, Plan
 from amusic_gym.evaluation.study.run import Finished, Row
+from amusic_gym.policies.registry import FIXED, FRONTS, LEARNED, front_of
 from amusic_gym.utils.storage import write_whole
 
 RESULTS = "study.json"
@@ -83,7 +83,7 @@ def find(plan: Plan, finished: Finished, *, rivals: Iterable[str] = ()) -> Findi
         plan: of the study.
         finished: all its cells.
         rivals: names of learned selectors that the others must beat, for example an imitation of
-            the cascade; the families of `kinds.FRONTS` are rivals anyway.
+            the cascade; the families of `FRONTS` are rivals anyway.
     """
     rivals = tuple(rivals)
     points: list[Row] = []
@@ -164,7 +164,7 @@ class _Scope:
         names = self.field.routes
         there = [row for row in rows if row["bank"] in names and _point(row) in self.field.points]
         means = {_point(row): row for row in metrics.mean_rows(there)}
-        fixed = [row for row in there if row["family"] == kinds.FIXED]
+        fixed = [row for row in there if row["family"] == FIXED]
         intervals = self._intervals(self.over)
         by_seed = self._intervals(SEEDS)
         return [
@@ -176,7 +176,7 @@ class _Scope:
                 "compute_interval": intervals["compute"][p],
                 "interval_over": self.over,
                 "auc_interval_seeds": by_seed["auc"][p],
-                "gap_closed": None if point.family == kinds.FIXED else _gap(means[point], fixed),
+                "gap_closed": None if point.family == FIXED else _gap(means[point], fixed),
             }
             for p, point in enumerate(self.field.points)
         ]
@@ -226,8 +226,8 @@ class _Scope:
     def margins(self, rivals: Sequence[str]) -> list[Row]:
         """Rows for every learned selector: its front minus that of each rival, and of all."""
         there = self.sides()
-        learned = [p.policy for p in self.field.points if p.family == kinds.LEARNED]
-        standing = [name for name in there if name in (*kinds.FRONTS.values(), *rivals)]
+        learned = [p.policy for p in self.field.points if p.family == LEARNED]
+        standing = [name for name in there if name in (*FRONTS.values(), *rivals)]
         rows = []
         for name in dict.fromkeys(learned):
             others = [other for other in standing if other != name]
@@ -245,12 +245,12 @@ class _Scope:
         """
         points = self.field.points
         fronts = [front_of(point.policy, point.family) for point in points]
-        standing = (*kinds.FRONTS.values(), *rivals)
+        standing = (*FRONTS.values(), *rivals)
         compute, auc = self.field.means()
         varied, copies = self.field.resampled(self.over), self.field.replicates(self.over)[1]
         rows = []
         for p, point in enumerate(points):
-            if point.family != kinds.LEARNED:
+            if point.family != LEARNED:
                 continue
             cheap = compute <= compute[p] * (1.0 + ROUNDING)
             for name in dict.fromkeys(name for name in fronts if name in standing):

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from amusic_gym import __version__
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.estimation.settings import SICSettings
-from amusic_gym.evaluation import comparison_files
-from amusic_gym.evaluation.comparison import Contestant, check_banks, distinct
-from amusic_gym.evaluation.study import store
-from amusic_gym.evaluation.study.cells import (
-    CONDITIONS,
-    FAMILIES,
-    FRONTS,
-    LABELS,
-    RETIMED,
-    Bench,
-    Cell,
-    Entrant,
-)
+from amusic_gym.evaluation import store
+from amusic_gym.evaluation.comparison import check_banks, distinct
+from amusic_gym.evaluation.contestants import Contestant
+from amusic_gym.evaluation.study import cells
+from amusic_gym.evaluation.study.cells import CONDITIONS, LABELS, RETIMED, Bench, Cell
 from amusic_gym.policies.protocol import Context, Correction, Policy
+from amusic_gym.policies.registry import FAMILIES, FRONTS
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import suggest
 
@@ -33,6 +27,27 @@ SEED_COUNT = 5
 
 MEAN = "mean"
 """In the place of a route's name: over all routes."""
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """A policy of a study, or several runs of one training, which are its seeds.
+
+    Attributes:
+        name: in tables.
+        family: of `FAMILIES`.
+        contestants: one, or one for each seed. What makes them must pickle.
+        statistic: SIC's, if it is not the study's.
+        draws: whether the policy draws: then it has a cell per seed even as recorded.
+        needs_truth: of what it needs ground truth, if it does; tables say so.
+    """
+
+    name: str
+    family: str
+    contestants: tuple[Contestant, ...]
+    statistic: str | None = None
+    draws: bool = False
+    needs_truth: str = ""
 
 
 @dataclass(frozen=True)
@@ -73,7 +88,7 @@ def make_plan(
     carry: bool | None = None,
     discount: bool | None = None,
     seeds: Sequence[int] = range(SEED_COUNT),
-    conditions: Sequence[str] = CONDITIONS,
+    conditions: Collection[str] = CONDITIONS,
 ) -> Plan:
     """The cells of every entrant on every bank.
 
@@ -118,7 +133,7 @@ def make_plan(
     )
 
 
-def _check(seeds: Sequence[int], conditions: Sequence[str]) -> tuple[int, ...]:
+def _check(seeds: Sequence[int], conditions: Collection[str]) -> tuple[int, ...]:
     numbers = tuple(whole("seed", seed, 0) for seed in seeds)
     if not numbers or len(set(numbers)) < len(numbers):
         raise ValueError(f"seeds are {list(numbers)}; give at least one, each once")
@@ -169,7 +184,7 @@ class _Planner:
         self.makers: list[Callable[[Context], Policy]] = []
         self.needs_truth: dict[str, str] = {}
         self._maker: dict[tuple[str, str], int] = {}
-        self._code = store.code()
+        self._code = store.code_digest(Path(cells.__file__))
 
     def add(self, number: int, bank: ScoreBank, name: str, entrants: Sequence[Entrant]) -> None:
         """The cells of one bank, those of one condition and seed together."""
@@ -177,7 +192,7 @@ class _Planner:
         _check_names([entrant.name for entrant in given])
         self.needs_truth |= {each.name: each.needs_truth for each in given if each.needs_truth}
         jobs = [job for entrant in given for job in self._jobs(bank, entrant)]
-        site = _Site(number, bank, name, comparison_files.bank_identity(bank))
+        site = _Site(number, bank, name, store.bank_identity(bank))
         self.cells += [
             self._cell(site, job, condition, at)
             for condition in self.conditions
@@ -233,7 +248,7 @@ class _Planner:
             "member": contestant.name,
         }
         return Cell(
-            path=store.stem(key),
+            path=store.stem_of(key),
             labels={name: labels[name] for name in LABELS},
             bank=site.number,
             maker=self._maker_of(contestant, job.statistic),
