@@ -347,7 +347,7 @@ def test_report_is_self_contained_and_says_what_it_was_given(tmp_path: Path) -> 
         assert part in words, part
     assert page.opened.count("table") == 2
     assert page.opened.count("tr") == 2 * (1 + len(some_rows()))
-    assert 'alt="What the &quot;compute&quot; buys"' in text
+    assert 'alt="What the &#34;compute&#34; buys"' in text
 
 
 def test_report_writes_a_dash_for_no_median_error(tmp_path: Path) -> None:

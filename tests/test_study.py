@@ -142,7 +142,9 @@ def test_seeds_and_conditions_are_those_asked_for():
     assert [c.retiming for c in plan.cells if c.labels["bank"] == "bank1"] == [
         *([4] * 4 + [7] * 4 + [9] * 4)
     ]
-    members = {(c.labels["member"], c.labels["seed"]) for c in plan.cells if c.maker}
+    members = {
+        (c.labels["member"], c.labels["seed"]) for c in plan.cells if c.labels["policy"] == "PPO"
+    }
     assert members == {("PPO0", 4), ("PPO1", 7), ("PPO2", 9)}
 
 

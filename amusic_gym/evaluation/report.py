@@ -55,7 +55,9 @@ class Column(NamedTuple):
 
 
 COLUMNS = {
-    "auc": Column("AUC", "area under precision-recall, over queries with a true place", ".3f", True),
+    "auc": Column(
+        "AUC", "area under precision-recall, over queries with a true place", ".3f", True
+    ),
     "compute": Column(
         "Compute", "seconds spent, of running every technique on every frame", ".1%", True
     ),

@@ -25,20 +25,16 @@ Measures = dict[str, Any]
 
 
 class Bench:
-    """What a worker holds to run cells: the recordings, and what makes the policies.
+    """What a worker holds to run cells.
 
     Args:
         banks: the recordings.
-        makers: build a policy, afresh for every cell; module-level functions or partials of such.
     """
 
     name = "study"  # as executors call what they hand to their workers
 
-    def __init__(
-        self, banks: Sequence[ScoreBank], makers: Sequence[Callable[[Context], Policy]]
-    ) -> None:
+    def __init__(self, banks: Sequence[ScoreBank]) -> None:
         self.banks = tuple(banks)
-        self.makers = tuple(makers)
         self._last: tuple[tuple[int, int], ScoreBank] | None = None
 
     def route(self, bank: int, retiming: int | None) -> ScoreBank:
@@ -50,7 +46,7 @@ class Bench:
         return self._last[1]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Bench, (self.banks, self.makers)
+        return Bench, (self.banks,)
 
 
 @dataclass(frozen=True)
@@ -61,10 +57,8 @@ class Cell:
         path: stem of the file that keeps its numbers; changes with all that may change them.
         labels: what it is, for tables: see `LABELS`.
         bank: index in the bench.
-        maker: index in the bench.
-        statistic: SIC's, of policies that do not bring their own.
-        carry: whether places are carried on as candidates, likewise.
-        discount: whether MuSIC discounts alike rows, likewise.
+        make: builds the policy; a function of a module, or a partial of one.
+        chosen: ``statistic``, ``carry`` and ``discount`` of a policy that does not bring its own.
         retiming: seed of the re-timing; None: as recorded.
         seed: for policies that draw.
         size: frames.
@@ -73,10 +67,8 @@ class Cell:
     path: str
     labels: Mapping[str, Any]
     bank: int
-    maker: int
-    statistic: str
-    carry: bool | None
-    discount: bool | None
+    make: Callable[[Context], Policy]
+    chosen: Mapping[str, Any]
     retiming: int | None
     seed: int
     size: int
@@ -105,15 +97,12 @@ class Cell:
 
     def _play(self, bench: Bench) -> Trace:
         bank = bench.route(self.bank, self.retiming)
-        chosen: dict[str, Any] = {
-            name: getattr(self, name) for name in ("statistic", "carry", "discount")
-        }
         return rollout(
-            bench.makers[self.maker](Context.of(bank, seed=self.seed, **chosen)),
+            self.make(Context.of(bank, seed=self.seed, **self.chosen)),
             bank,
             name=self.labels["policy"],
             compute_weight=self.labels["compute_weight"],
-            **chosen,
+            **self.chosen,
         )
 
 
