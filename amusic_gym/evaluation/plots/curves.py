@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.evaluation import metrics
+from amusic_gym.evaluation.audit import held
 from amusic_gym.evaluation.plots import labels
 from amusic_gym.evaluation.plots.drawing import GREY, INK, figure_at, only, percent
 from amusic_gym.policies.registry import parse
@@ -70,17 +71,25 @@ def reliability(
     Raises:
         ValueError: no frame of any trace has an estimate.
     """
-    correct, estimate = _pooled(traces)
+    from scipy.stats import binomtest
+
+    correct, estimate = held(*traces) if traces else (np.zeros(0, bool), np.zeros(0))
+    if not estimate.size:
+        raise ValueError("no trace holds an estimate of correctness; give traces with p_correct")
     table = metrics.reliability(correct, estimate, bins)
-    held = table.counts > 0
-    low, high = _wilson(table.observed[held], table.counts[held])
+    filled = table.counts > 0
+    predicted, observed, counts = (part[filled] for part in table)
+    hits = np.rint(observed * counts).astype(int)
+    ends = [
+        binomtest(int(k), int(n)).proportion_ci(method="wilson")
+        for k, n in zip(hits, counts, strict=True)
+    ]
     with figure_at(path, 5.6, 6.2) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
         upper.plot([0, 1], [0, 1], color=GREY, linestyle="--", linewidth=1, label="perfect")
-        upper.vlines(table.predicted[held], low, high, color="#0072B2", linewidth=1.2, alpha=0.6)
-        upper.plot(
-            table.predicted[held], table.observed[held], "o-", color="#0072B2", label="observed"
-        )
+        low, high = zip(*ends, strict=True)
+        upper.vlines(predicted, low, high, color="#0072B2", linewidth=1.2, alpha=0.6)
+        upper.plot(predicted, observed, "o-", color="#0072B2", label="observed")
         upper.set(ylabel="Share of frames that are correct", ylim=(-0.02, 1.02), xlim=(-0.02, 1.02))
         upper.set_title("SIC-estimated correctness against the truth", pad=20)
         quality = _quality(correct, estimate, bins)
@@ -128,16 +137,6 @@ def _curve_colours(traces: Sequence[Trace]) -> dict[tuple[str, float | None], An
     return colours
 
 
-def _pooled(traces: Sequence[Trace]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    given = [(t.correct, t.p_correct) for t in traces]
-    if not given or all(np.isnan(p).all() for _, p in given):
-        raise ValueError("no trace holds an estimate of correctness; give traces with p_correct")
-    correct = np.concatenate([c for c, _ in given])
-    estimate = np.concatenate([p for _, p in given])
-    held = ~np.isnan(estimate)
-    return correct[held], estimate[held]
-
-
 def _quality(correct: NDArray[np.bool_], estimate: NDArray[np.float64], bins: int) -> str:
     ranked = metrics.auroc(correct, estimate)
     words = (
@@ -147,14 +146,3 @@ def _quality(correct: NDArray[np.bool_], estimate: NDArray[np.float64], bins: in
         f"{correct.size} frames",
     )
     return "  ·  ".join(words)
-
-
-def _wilson(
-    share: NDArray[np.float64], counts: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """95 % score interval of a share: unlike the normal one, honest near 0 and 1."""
-    z = 1.959964
-    middle = (share + z * z / (2 * counts)) / (1 + z * z / counts)
-    spread = z * np.sqrt(share * (1 - share) / counts + (z / (2 * counts)) ** 2)
-    half = spread / (1 + z * z / counts)
-    return np.maximum(middle - half, 0.0), np.minimum(middle + half, 1.0)

@@ -59,25 +59,16 @@ class Plan:
         cells: in the order of tables: routes, conditions, seeds, policies.
         routes: of each recording ``bank`` (its name), ``queries``, ``references``, ``techniques``,
             ``seconds`` and ``cheapest``, the least compute of a policy that always runs one.
-        seeds: of re-timing, of policies that draw, and numbers of trainings.
-        conditions: of `CONDITIONS`.
-        statistic: SIC's, of policies that do not bring their own.
-        carry: whether places are carried on as candidates, likewise; None: as the statistic has it.
-        discount: whether MuSIC discounts alike rows, likewise; None: as the statistic has it.
-        costs: name of the cost model.
-        needs_truth: name of an entrant → of what it needs ground truth.
+        settings: ``conditions``; ``seeds`` of re-timing, of policies that draw, and numbers of
+            trainings; ``statistic``, ``carry`` and ``discount`` of policies that do not bring their
+            own; ``costs``, the cost model; ``needs_truth``: name of an entrant → of what it needs
+            ground truth.
     """
 
     bench: Bench
     cells: tuple[Cell, ...]
     routes: tuple[dict[str, Any], ...]
-    seeds: tuple[int, ...]
-    conditions: tuple[str, ...]
-    statistic: str
-    carry: bool | None
-    discount: bool | None
-    costs: str
-    needs_truth: dict[str, str]
+    settings: dict[str, Any]
 
 
 def make_plan(
@@ -128,13 +119,13 @@ def make_plan(
         bench=Bench(banks),
         cells=tuple(planned),
         routes=tuple(_route(*each) for each in zip(banks, names, strict=True)),
-        seeds=numbers,
-        conditions=planner.conditions,
-        statistic=statistic,
-        carry=carry,
-        discount=discount,
-        costs=banks[0].costs,
-        needs_truth=needs_truth,
+        settings={
+            "conditions": list(planner.conditions),
+            "seeds": list(numbers),
+            **chosen,
+            "costs": banks[0].costs,
+            "needs_truth": needs_truth,
+        },
     )
 
 
