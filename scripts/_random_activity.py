@@ -24,7 +24,7 @@ RATES = (0.1, 0.3, 0.6, 1.0)
 BINS = 10
 """Of the calibration error and of the figure."""
 
-SEEN = ("prediction", "confidence", "similarity", "p_correct", "ran", "place", "statistic")
+TRACED = ("confidence", "similarity", "p_correct", "ran")
 RECORDED, RETIMED = "as recorded", "re-timed"
 POOLED = "pooled"
 
@@ -63,14 +63,14 @@ def _drive(bank: ScoreBank, name: str, timing: str, statistic: str, seed: int) -
     for _ in range(bank.queries):
         observation, _, _, _, info = env.step(policy.act(observation, info))
         infos.append(info)
-    seen = {key: np.stack([info[key][0] for info in infos]) for key in SEEN}
+    seen: dict[str, Any] = {
+        key: np.stack([info[key][0] for info in infos])
+        for key in ("prediction", *TRACED, "place", "statistic")
+    }
     trace = Trace.join(
         bank,
         predictions=seen["prediction"],
-        confidence=seen["confidence"],
-        similarity=seen["similarity"],
-        p_correct=seen["p_correct"],
-        ran=seen["ran"],
+        **{key: seen[key] for key in TRACED},
         policy=policy_name,
         statistic=statistic,
     )
@@ -132,10 +132,10 @@ def _own(drives: Sequence[Drive]) -> Iterator[Row]:
 
 def _curve(drives: Sequence[Drive]) -> dict[str, list[Any]]:
     curve = metrics.reliability(*held(*(drive.trace for drive in drives)), BINS)
-    shown = {name: getattr(curve, name).tolist() for name in curve._fields}
     return {
-        n: [None if v != v else v for v in values] for n, values in shown.items()
-    }  # v != v: nan
+        name: [None if v != v else v for v in values.tolist()]  # v != v: nan
+        for name, values in curve._asdict().items()
+    }
 
 
 def tables(report: dict[str, Any]) -> list[Table]:

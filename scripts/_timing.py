@@ -8,19 +8,11 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
-THREAD_VARIABLES = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-)
-
 
 def one_thread() -> None:
     """Keep every library to one thread; call it before NumPy, Numba or torch are imported."""
-    for variable in THREAD_VARIABLES:
-        os.environ[variable] = "1"
+    for library in ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "NUMBA_NUM", "VECLIB_MAXIMUM"):
+        os.environ[f"{library}_THREADS"] = "1"
 
 
 class Side(NamedTuple):
@@ -39,23 +31,11 @@ class Side(NamedTuple):
     prepare: Callable[[], object] = lambda: None
 
 
-class Medians(NamedTuple):
-    """Median seconds of one unit of work on either side."""
+def interleave(ours: Side, theirs: Side, rounds: int) -> tuple[float, float]:
+    """Median seconds of one unit of work on either side, after one warm-up that is not counted.
 
-    ours: float
-    theirs: float
-
-    @property
-    def faster(self) -> float:
-        """How many times as many units our side does in the same time."""
-        return self.theirs / self.ours
-
-
-def interleave(ours: Side, theirs: Side, rounds: int) -> Medians:
-    """Time both sides in turn, A B A B …, after one warm-up of each that is not counted.
-
-    The median over the rounds forgives what else the machine does in a few of them; taking turns
-    lets a slower spell meet both sides.
+    The sides take turns, A B A B …, so that a slower spell of the machine meets both; the median
+    over the rounds forgives what else it does in a few of them.
     """
     samples: tuple[list[float], list[float]] = ([], [])
     for number in range(rounds + 1):
@@ -66,17 +46,7 @@ def interleave(ours: Side, theirs: Side, rounds: int) -> Medians:
             seconds = time.perf_counter() - start
             if number:
                 kept.append(seconds / side.units)
-    return Medians(*(statistics.median(kept) for kept in samples))
-
-
-def alone(work: Callable[[], object], rounds: int) -> float:
-    """Median seconds of a call, after one that is not counted."""
-    samples = []
-    for _ in range(rounds + 1):
-        start = time.perf_counter()
-        work()
-        samples.append(time.perf_counter() - start)
-    return statistics.median(samples[1:])
+    return statistics.median(samples[0]), statistics.median(samples[1])
 
 
 def readable(seconds: float) -> str:

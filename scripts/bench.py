@@ -2,53 +2,31 @@
 
     python scripts/bench.py --out FILE.json
 
-Every timed path is checked first against NumPy code of another kind (_bench_reference.py), that of
-the default statistic against the true places. The sides take turns, after one warm-up, on one
-thread unless it says two; each figure is a median. All is with the statistic `evidence`, γ = 1,
-nothing carried on and no discount, unless it says `default`: the figures that begin so are with
-what the environment takes by itself.
+The sides take turns, after one warm-up, on one thread unless it says two; each figure is a median.
+SIC is compared with NumPy's gather before it is timed, the environments with the true places.
 
 | ratio | of what | better |
 |---|---|---|
 | sic_vs_numpy | one SIC correction: time of the gather in NumPy / ours | more |
-| sic_vs_numpy_loop | … of a NumPy loop over the candidates / ours | more |
+| sic_share_of_limit | bytes/s of the accumulator's row add / of a plain stream | near 1 |
 | vector_env_vs_cartpole_vector | steps/s of the vector env / Gymnasium's CartPole one | more |
 | single_env_vs_cartpole | steps/s of the unwrapped single env / unwrapped CartPole | more |
 | half_step_vs_whole | time of the vector step: a random half of the techniques / all | less |
-| ppo_vs_constant_env | wall time of PPO on the env / on one that returns constants | near 1 |
-| ppo_large_vs_constant_env | as above, 256 routes and batches of 8192 | near 1 |
-| sic_share_of_limit | bytes/s of the accumulator's row add / of a plain stream | near 1 |
-| step_share_of_limit | time of plain streams over a step's rows / of the vector step | near 1 |
-| cohog_match_vs_numpy | CoHOG's matching with one place: time of a NumPy loop / ours | more |
-| cohog_match_share_of_limit | time of the bare matrix product of the cells / ours | near 1 |
-| default_vector_env_vs_cartpole_vector | as above, default statistic | more |
-| default_single_env_vs_cartpole | as above, default statistic | more |
 | carry_step_vs_without | time of the vector step: places carried on / not, no discount | near 1 |
 | discount_step_vs_without | … with the discount / without, places carried on | near 1 |
-| default_step_vs_evidence | time of the single env's step: default / neither of both | near 1 |
-| belief_step_vs_evidence | … statistic `belief` / neither of both | less |
+| belief_step_vs_evidence | time of the single env's step: statistic `belief` / `evidence` | less |
 | belief_two_threads_vs_one | steps/s of the vector env, `belief`, on two threads / on one | more |
+| ppo_vs_constant_env | wall time of PPO on the env / on one that returns constants | near 1 |
 
-And what a robot waits for, which is this machine's: default_step_ms, belief_step_ms,
-TECHNIQUE_describe_ms, live_overhead_ms and belief_live_overhead_ms (per frame, beyond the
-techniques that ran) and live_hog_frames_per_second; import_seconds and first_step_…_seconds, cold
-and with compiled code. These are with the defaults.
-
-How time grows with the map: sic_us_at_R for R places, growth_exponent (1 is linear) between the
-largest two; route_bytes_per_place. With --big, a memory-mapped bank of 3.2 GB is written to a
-temporary folder and driven through with 2 GB of memory: big_anonymous_mb, big_run_us,
-big_share_of_read (time to copy the row / to take it into the sums and correct).
-
-With --layouts, ways to keep the sums that were tried and rejected: rejected_… (time of each / of
-what took its place) and waiting_at_R (time of rows that wait / of rows added at once).
-
-Beside the JSON object stand a roofline, what each part does per second against what memory and
-arithmetic of this machine allow, and the growth with the map.
+All with the statistic `evidence`, γ = 1, nothing carried on and no discount, unless it says so. And
+what a user waits for, with the defaults, which is this machine's: import_seconds,
+first_step_cold_seconds, first_step_cached_seconds, TECHNIQUE_describe_ms,
+live_hog_frames_per_second and live_overhead_ms (per frame, beyond the techniques that ran); with a
+`belief_` before it, of that statistic.
 """
 
 from __future__ import annotations
 
-import argparse
 import inspect
 import json
 from collections.abc import Callable
@@ -56,70 +34,66 @@ from functools import partial
 from itertools import cycle
 from typing import Any, NamedTuple
 
-from _timing import Medians, Side, interleave, one_thread, readable
+from _timing import Side, interleave, one_thread, readable
 
 one_thread()
 
 from _cli import Parser, destination, run  # noqa: E402  (after the line above, which NumPy reads)
 
 # isort: split
-import _bench_reference as reference  # noqa: E402
 import gymnasium as gym  # noqa: E402
 import numpy as np  # noqa: E402
-from _bench_figure import draw_growth, draw_roofline, points_of  # noqa: E402
-from _bench_growth import (  # noqa: E402
-    BIG_SHAPE,
-    QUICK_SHAPE,
-    QUICK_SIZES,
-    SIZES,
-    measure_big,
-    measure_growth,
-    measure_memory,
-)
-from _bench_images import QUICK_IMAGES, ImageSizes, measure_images  # noqa: E402
-from _bench_kernels import BYTES_PER_PLACE, push_routes, stream  # noqa: E402
-from _bench_layouts import measure_layouts, measure_waiting  # noqa: E402
 from _bench_material import (  # noqa: E402
-    DEFAULT,
-    PLAIN,
+    BYTES_PER_PLACE,
     QUICK,
     Corrections,
     Material,
     Sizes,
+    gather,
     same,
+    standardised,
+    stream,
 )
-from _bench_start import measure_start  # noqa: E402
+from _bench_waits import measure_images, measure_start  # noqa: E402
 
 from amusic_gym.envs.env import TechniqueSelectionEnv  # noqa: E402
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv  # noqa: E402
-from amusic_gym.estimation.settings import SICSettings  # noqa: E402
 from amusic_gym.utils.storage import write_whole  # noqa: E402
 
+CARRY: dict[str, Any] = {"carry": True}
+DISCOUNT: dict[str, Any] = {"carry": True, "discount": True}
 BELIEF: dict[str, Any] = {"statistic": "belief", "carry": None, "discount": None}
-
-Report = Callable[[str, float, str], None]
-"""Takes a key, its value, and a sentence on it."""
+THREADS: dict[str, Any] = {**BELIEF, "threads": 2}
 
 
 class Measured(NamedTuple):
     """A line of the table."""
 
     ratio: float
-    medians: Medians
+    sides: tuple[Side, Side]
+    seconds: tuple[float, float]  # per unit
     unit: str
-    ours: str
-    theirs: str
+
+
+def compare(
+    ours: Side, theirs: Side, rounds: int, unit: str = "step", *, time: bool = False
+) -> Measured:
+    """Units of our side in the time of one of theirs; with ``time``, its time by theirs."""
+    mine, other = interleave(ours, theirs, rounds)
+    return Measured(mine / other if time else other / mine, (ours, theirs), (mine, other), unit)
 
 
 def measure_sic(material: Material) -> Measured:
     """One SIC correction at the last frame against the K×F gather in NumPy."""
     sizes, ours = material.sizes, Corrections(material)
-    frame, z, top = sizes.frames - 1, material.z[0], material.top[0]
+    frame, rows = sizes.frames - 1, material.bank.scores[0]
+    z = standardised(rows)
+    top = np.argsort(-rows, axis=1, kind="stable")[:, : sizes.candidates]
 
     def gather_all() -> list[tuple[int, float]]:
         found = []
         for i in range(sizes.routes):
-            values = reference.gather(z[i:], frame, top[i + frame], sizes.history)
+            values = gather(z[i:], frame, top[i + frame], sizes.history)
             best = int(np.argmax(values))
             found.append((int(top[i + frame][best]), float(values[best])))
         return found
@@ -128,107 +102,55 @@ def measure_sic(material: Material) -> Measured:
     for i, (place, statistic) in enumerate(gather_all()):
         same(f"place of route {i}", ours.places[i], place, 0.0)
         same(f"statistic of route {i}", ours.statistics[i], statistic, 1e-9)
-    medians = interleave(
+    return compare(
         Side("compiled", ours.forward, sizes.routes * sizes.steps, ours.rewind),
-        Side("NumPy", gather_all, sizes.routes),
+        Side("NumPy gather", gather_all, sizes.routes),
         sizes.rounds,
+        "correction",
     )
-    return Measured(medians.faster, medians, "correction", "compiled", "NumPy gather")
-
-
-def measure_sic_loop(material: Material) -> Measured:
-    """One SIC correction at the last frame against a NumPy loop over the candidates."""
-    sizes, ours = material.sizes, Corrections(material)
-    frame, z, top = sizes.frames - 1, material.z[0], material.top[0]
-
-    def loop() -> list[float]:
-        return reference.gather_one_by_one(z, frame, top[frame], sizes.history)
-
-    ours.forward()
-    same("statistic of route 0", ours.statistics[0], max(loop()), 1e-9)
-    medians = interleave(
-        Side("compiled", ours.forward, sizes.routes * sizes.steps, ours.rewind),
-        Side("NumPy", loop, 1),
-        sizes.rounds,
-    )
-    return Measured(medians.faster, medians, "correction", "compiled", "NumPy loop")
 
 
 def measure_limit(material: Material) -> Measured:
     """The accumulator's row add against a plain stream over as many bytes."""
     sizes, ours = material.sizes, Corrections(material)
-    frames = ours.frames
     windows = np.zeros((sizes.routes, sizes.places))
     rows = material.bank.scores[0]
 
-    def push_all() -> None:
-        for frame in frames:
-            push_routes(ours.sums, ours.marks, ours.runs, ours.histories[0], frame, ours.history)
-
     def stream_all() -> None:
-        for frame in frames:
+        for frame in ours.frames:
             stream(rows[frame : frame + sizes.routes], windows)
 
-    _check_sums(material, ours, push_all)
-    stream_all()
-    summed = sum(rows[f : f + sizes.routes].astype(np.float64) for f in frames)
-    if not np.allclose(windows, summed, rtol=1e-12, atol=1e-12):
-        raise RuntimeError("the stream's sums are wrong: nothing wrong is timed")
-    places = sizes.routes * sizes.places * len(frames)
-    medians = interleave(
-        Side("row add", push_all, places * BYTES_PER_PLACE, ours.rewind),
-        Side("stream", stream_all, places * BYTES_PER_PLACE),
+    size = sizes.routes * sizes.places * len(ours.frames) * BYTES_PER_PLACE
+    return compare(
+        Side("SIC's row add", ours.add_rows, size, ours.rewind),
+        Side("plain stream", stream_all, size),
         sizes.rounds,
+        "byte",
     )
-    return Measured(medians.faster, medians, "byte", "SIC's row add", "plain stream")
 
 
-def _check_sums(material: Material, ours: Corrections, push_all: Callable[[], None]) -> None:
-    """Compare the sums of route 0 after the timed frames with those of its diagonals."""
-    last, z = material.sizes.frames - 1, material.z[0]
-    ours.histories[0][:, ours.frames.start :] = 1
-    push_all()
-    window = ours.sums[0, ours.marks[0]["origin"] - last :]
-    for place in range(0, material.sizes.places, 37):
-        ages = np.arange(min(material.sizes.history, last, place) + 1)
-        want = float(z[last - ages, place - ages].sum())
-        same(f"sum of place {place}", float(window[place]), want, 1e-8)
-
-
-def _stepper(env: Any, action: Any, steps: int) -> Callable[[], None]:
-    def advance() -> None:
-        for _ in range(steps):
-            env.step(action)
-
-    return advance
-
-
-def _play_checked(
-    env: Any, material: Material, action: Any, options: dict[str, Any], behind: int = 0
-) -> None:
-    """Play a whole route and compare; then begin again and go on to where timing starts.
-
-    ``behind`` times the timed frames sooner: of two sides on the same frames, the second would
-    find their rows in the cache.
-    """
-    exact = {name: getattr(env.task.settings, name) for name in PLAIN} == PLAIN
-    env.reset(seed=0, options=options)
-    for frame in range(material.sizes.frames):
-        _, rewards, _, _, infos = env.step(action)
-        if frame in material.checked_frames():
-            if exact:
-                material.check_frame(frame, rewards, infos)
-            else:
-                material.check_places(frame, infos)
-    env.reset(seed=0, options=options)
-    _stepper(env, action, material.sizes.frames - (1 + behind) * material.sizes.timed)()
-
-
-def measure_vector_env(material: Material, **other: Any) -> Measured:
-    """The vector env, all techniques on all routes, against Gymnasium's native CartPole."""
-    sizes = material.sizes
+def vector_side(
+    material: Material, name: str, *, behind: int = 0, half: bool = False, **other: Any
+) -> Side:
+    """Steps of the vector env, all techniques or a random half of them."""
+    sizes, everything = material.sizes, material.everything
+    rng = np.random.default_rng(1)
+    actions = rng.integers(0, 2, (97, *everything.shape), np.int8) if half else [everything]
     env = TechniqueSelectionVectorEnv(sizes.routes, **material.env_arguments(**other))
-    _play_checked(env, material, material.everything, {"start": material.starts})
+    step = material.stepper(env, cycle(actions), material.starts, behind)
+    return Side(name, step, sizes.steps * sizes.routes)
+
+
+def single_side(material: Material, name: str, *, behind: int = 0, **other: Any) -> Side:
+    """Steps of the single env, all techniques, without wrappers."""
+    env = TechniqueSelectionEnv(**material.env_arguments(**other))
+    step = material.stepper(env, cycle(material.everything[:1]), 0, behind)
+    return Side(name, step, material.sizes.steps)
+
+
+def measure_vector_env(material: Material) -> Measured:
+    """The vector env against Gymnasium's native CartPole."""
+    sizes = material.sizes
     cartpole = gym.make_vec(
         "CartPole-v1", num_envs=sizes.routes, vectorization_mode="vector_entry_point"
     )
@@ -239,116 +161,13 @@ def measure_vector_env(material: Material, **other: Any) -> Measured:
         for _ in range(sizes.steps):
             cartpole.step(next(pushes))
 
-    units = sizes.steps * sizes.routes
-    medians = interleave(
-        Side("ours", _stepper(env, material.everything, sizes.steps), units),
-        Side("CartPole", balance, units),
-        sizes.rounds,
-    )
-    return Measured(medians.faster, medians, "step", "vector env", "CartPole vector env")
+    theirs = Side("CartPole vector env", balance, sizes.steps * sizes.routes)
+    return compare(vector_side(material, "vector env"), theirs, sizes.rounds)
 
 
-def measure_half(material: Material) -> Measured:
-    """The vector env's step with a random half of the techniques against one with all."""
-    sizes, ran = material.sizes, []
-    half, whole = (
-        TechniqueSelectionVectorEnv(sizes.routes, **material.env_arguments()) for _ in range(2)
-    )
-    _play_checked(whole, material, material.everything, {"start": material.starts})
-    half.reset(seed=0, options={"start": material.starts})
-    for frame, action in enumerate(material.halves):
-        infos = half.step(action)[-1]
-        ran.append(infos["ran"])
-        if frame in material.checked_frames():
-            material.check_statistics(frame, np.array(ran), infos)
-    half.reset(seed=0, options={"start": material.starts})
-    actions = iter(material.halves)
-    for _ in range(sizes.frames - sizes.timed):
-        half.step(next(actions))
-
-    def advance() -> None:
-        for _ in range(sizes.steps):
-            half.step(next(actions))
-
-    units = sizes.steps * sizes.routes
-    medians = interleave(
-        Side("half", advance, units),
-        Side("whole", _stepper(whole, material.everything, sizes.steps), units),
-        sizes.rounds,
-    )
-    return Measured(1.0 / medians.faster, medians, "step", "a half", "all techniques")
-
-
-def measure_step(material: Material, **other: Any) -> Measured:
-    """The single env's step with other settings against one with `PLAIN`."""
-    sizes, action, steppers = material.sizes, material.everything[0], []
-    for behind, arguments in enumerate((material.env_arguments(**other), material.env_arguments())):
-        env = TechniqueSelectionEnv(**arguments)
-        _play_checked(env, material, action, {"start": 0}, behind)
-        steppers.append(_stepper(env, action, sizes.steps))
-    theirs, plain = (Side("settings", step, sizes.steps) for step in steppers)
-    medians = interleave(theirs, plain, sizes.rounds)
-    return Measured(1.0 / medians.faster, medians, "step", "these settings", "plain evidence")
-
-
-def measure_part(material: Material, name: str, **other: Any) -> Measured:
-    """The vector env's step with a part of SIC on against the step with it off.
-
-    The correlation of a row with the one before it is kept with the bank, as mean, deviation and
-    candidates are: none of them is timed.
-    """
-    sizes, steppers = material.sizes, []
-    for on in (True, False):
-        arguments = material.env_arguments(**other, **{name: on})
-        env = TechniqueSelectionVectorEnv(sizes.routes, **arguments)
-        _play_checked(env, material, material.everything, {"start": material.starts}, int(on))
-        steppers.append(_stepper(env, material.everything, sizes.steps))
-    units = sizes.steps * sizes.routes
-    with_it, without = (Side(name, step, units) for step in steppers)
-    medians = interleave(with_it, without, sizes.rounds)
-    return Measured(1.0 / medians.faster, medians, "step", f"with {name}", "without")
-
-
-def measure_threads(material: Material) -> Measured:
-    """The vector env's step with the statistic `belief`, on two threads against one."""
-    sizes, steppers = material.sizes, []
-    for threads in (2, 1):
-        arguments = material.env_arguments(**BELIEF)
-        env = TechniqueSelectionVectorEnv(sizes.routes, threads=threads, **arguments)
-        _play_checked(env, material, material.everything, {"start": material.starts})
-        steppers.append(_stepper(env, material.everything, sizes.steps))
-    units = sizes.steps * sizes.routes
-    two, one = (Side("threads", step, units) for step in steppers)
-    medians = interleave(two, one, sizes.rounds)
-    return Measured(medians.faster, medians, "step", "two threads", "one thread")
-
-
-def measure_step_limit(material: Material) -> Measured:
-    """The vector env's step, all techniques, against plain streams over as many rows."""
+def measure_single_env(material: Material) -> Measured:
+    """The single env against CartPole."""
     sizes = material.sizes
-    env = TechniqueSelectionVectorEnv(sizes.routes, **material.env_arguments())
-    _play_checked(env, material, material.everything, {"start": material.starts})
-    windows = np.zeros((sizes.techniques, sizes.routes, sizes.places))
-
-    def stream_all() -> None:
-        for step in range(sizes.steps):
-            for t, rows in enumerate(material.bank.scores):
-                stream(rows[step : step + sizes.routes], windows[t])
-
-    units = sizes.steps * sizes.routes
-    medians = interleave(
-        Side("step", _stepper(env, material.everything, sizes.steps), units),
-        Side("streams", stream_all, units),
-        sizes.rounds,
-    )
-    return Measured(medians.faster, medians, "step", "vector env", "plain streams")
-
-
-def measure_single_env(material: Material, **other: Any) -> Measured:
-    """The single env, all techniques, against CartPole, both without wrappers."""
-    sizes, action = material.sizes, material.everything[0]
-    env = TechniqueSelectionEnv(**material.env_arguments(**other))
-    _play_checked(env, material, action, {"start": 0})
     cartpole = gym.make("CartPole-v1").unwrapped
     cartpole.reset(seed=0)
     pushes = cycle(np.random.default_rng(0).integers(0, 2, 997).tolist())
@@ -358,113 +177,88 @@ def measure_single_env(material: Material, **other: Any) -> Measured:
             if cartpole.step(next(pushes))[2]:
                 cartpole.reset()
 
-    medians = interleave(
-        Side("ours", _stepper(env, action, sizes.steps), sizes.steps),
-        Side("CartPole", balance, sizes.steps),
-        sizes.rounds,
-    )
-    return Measured(medians.faster, medians, "step", "single env", "CartPole")
+    theirs = Side("CartPole", balance, sizes.steps)
+    return compare(single_side(material, "single env"), theirs, sizes.rounds)
+
+
+def measure_pair(material: Material, pair: tuple[Any, ...]) -> Measured:
+    """Steps of one environment with two settings, see `PAIRS`.
+
+    The correlation of a row with the one before it is kept with the bank, as mean, deviation and
+    candidates are: none of them is timed.
+    """
+    side, ours, arguments, theirs, others = pair
+    first = side(material, ours, behind=1, **arguments)
+    return compare(first, side(material, theirs, **others), material.sizes.rounds, time=True)
+
+
+PAIRS = {
+    "half_step_vs_whole": (vector_side, "a half", {"half": True}, "all techniques", {}),
+    "carry_step_vs_without": (vector_side, "with carry", CARRY, "without", {}),
+    "discount_step_vs_without": (vector_side, "with discount", DISCOUNT, "without", CARRY),
+    "belief_step_vs_evidence": (single_side, "belief", BELIEF, "evidence", {}),
+    "belief_two_threads_vs_one": (vector_side, "one thread", BELIEF, "two threads", THREADS),
+}
+"""Key → an environment, and the name and arguments of either side."""
 
 
 def measure_ppo(material: Material) -> Measured:
     """PPO's wall time on the env against the same PPO on an env that returns constants."""
     import torch
-    from _bench_constant import ConstantVecEnv
     from amusic_agents.adapter import SB3VecEnv
     from stable_baselines3 import PPO
 
+    class Constant(SB3VecEnv):
+        """Returns what its environment once returned."""
+
+        def step_wait(self) -> Any:
+            return constants
+
     torch.set_num_threads(1)
-    sizes = material.sizes
-    env = SB3VecEnv(
-        TechniqueSelectionVectorEnv(
-            sizes.routes, **material.env_arguments(), random_start=True, autoreset_mode="SameStep"
-        )
-    )
-    env.set_options([{"start": int(start)} for start in material.starts])
-    env.reset()
-    for frame in range(sizes.frames):
-        rewards = env.step(material.everything)[1]
-        if frame in material.checked_frames():
-            material.check_frame(frame, rewards, None)
-    constant = ConstantVecEnv(sizes.routes, env.observation_space, env.action_space)
-    steps = sizes.routes * sizes.ppo_steps
-    sides = []
-    for routes in (env, constant):
+    sizes, sides = material.sizes, []
+    given = {**material.env_arguments(), "random_start": True, "autoreset_mode": "SameStep"}
+    for kind, name in ((SB3VecEnv, "PPO on the env"), (Constant, "PPO on constants")):
+        env = kind(TechniqueSelectionVectorEnv(sizes.routes, **given))
+        observation = env.reset()
+        nothing = np.zeros(sizes.routes, np.float32)
+        constants: Any = observation, nothing, nothing > 0, [{} for _ in nothing]
         model = PPO(
-            "MlpPolicy",
-            routes,
-            n_steps=sizes.ppo_steps,
-            batch_size=sizes.ppo_batch,
-            seed=0,
+            *("MlpPolicy", env), n_steps=sizes.ppo_steps, batch_size=sizes.ppo_batch, seed=0,
             device="cpu",
-        )
-        sides.append(Side(type(routes).__name__, _learner(model, steps), steps))
-    medians = interleave(sides[0], sides[1], sizes.ppo_rounds)
-    ratio = 1.0 / medians.faster
-    return Measured(ratio, medians, "step", "PPO on the env", "PPO on constants")
-
-
-def _learner(model: Any, steps: int) -> Callable[[], None]:
-    def learn() -> None:
-        model.learn(steps, reset_num_timesteps=False)
-
-    return learn
-
-
-def measure_large_ppo(material: Material) -> Measured:
-    """As measure_ppo, with more routes and larger batches."""
-    sizes = material.sizes
-    large = sizes._replace(routes=4 * sizes.routes, ppo_batch=16 * sizes.ppo_batch)
-    return measure_ppo(Material(large))
+        )  # fmt: skip
+        steps = sizes.routes * sizes.ppo_steps
+        learn = partial(model.learn, steps, reset_num_timesteps=False)
+        sides.append(Side(name, learn, steps))
+    return compare(sides[0], sides[1], sizes.ppo_rounds, time=True)
 
 
 MEASUREMENTS: dict[str, Callable[[Material], Measured]] = {
     "sic_vs_numpy": measure_sic,
-    "sic_vs_numpy_loop": measure_sic_loop,
+    "sic_share_of_limit": measure_limit,
     "vector_env_vs_cartpole_vector": measure_vector_env,
     "single_env_vs_cartpole": measure_single_env,
-    "half_step_vs_whole": measure_half,
+    **{key: partial(measure_pair, pair=pair) for key, pair in PAIRS.items()},
     "ppo_vs_constant_env": measure_ppo,
-    "ppo_large_vs_constant_env": measure_large_ppo,
-    "sic_share_of_limit": measure_limit,
-    "step_share_of_limit": measure_step_limit,
-    "default_vector_env_vs_cartpole_vector": partial(measure_vector_env, **DEFAULT),
-    "default_single_env_vs_cartpole": partial(measure_single_env, **DEFAULT),
-    "carry_step_vs_without": partial(measure_part, name="carry"),
-    "discount_step_vs_without": partial(measure_part, name="discount", carry=True),
-    "default_step_vs_evidence": partial(measure_step, **DEFAULT),
-    "belief_step_vs_evidence": partial(measure_step, **BELIEF),
-    "belief_two_threads_vs_one": measure_threads,
 }
 
 
-def _line(name: str, measured: Measured) -> str:
-    ours, theirs = (readable(seconds) for seconds in measured.medians)
-    what = f"{measured.ours} {ours}, {measured.theirs} {theirs} per {measured.unit}"
+def _sentence(measured: Measured) -> str:
+    """Both sides' times per unit, or their bytes per second."""
+    names = (side.name for side in measured.sides)
     if measured.unit == "byte":
-        fast, most = (1e-9 / seconds for seconds in measured.medians)
-        what = f"{measured.ours} {fast:.3g} GB/s, {measured.theirs} {most:.3g} GB/s"
-    return f"{name:30} {measured.ratio:9.3g}   {what}"
+        shown = [f"{1e-9 / seconds:.3g} GB/s" for seconds in measured.seconds]
+    else:
+        shown = [readable(seconds) for seconds in measured.seconds]
+    both = ", ".join(f"{name} {time}" for name, time in zip(names, shown, strict=True))
+    return both if measured.unit == "byte" else f"{both} per {measured.unit}"
 
 
-def _parser() -> argparse.ArgumentParser:
-    first = (__doc__ or "").splitlines()[0]
-    parser = Parser(prog="bench.py", description=first)
-    parser.add_argument(
-        "--out", type=destination, required=True, metavar="FILE", help="JSON to write"
-    )
-    parser.add_argument(
-        "--quick", action="store_true", help="small sizes: shows that it runs, not how fast it is"
-    )
-    parser.add_argument(
-        "--big", action="store_true", help="also a bank of 3.2 GB, written to a temporary folder"
-    )
-    parser.add_argument(
-        "--layouts", action="store_true", help="also layouts of the sums that were rejected"
-    )
-    parser.add_argument(
-        "--only", nargs="+", metavar="KEY", choices=MEASUREMENTS, help="only these ratios"
-    )
+def _parser() -> Parser:
+    parser = Parser(prog="bench.py", description=(__doc__ or "").splitlines()[0])
+    add = parser.add_argument
+    add("--out", type=destination, required=True, metavar="FILE", help="JSON to write")
+    add("--quick", action="store_true", help="small sizes: shows that it runs, not how fast it is")
+    add("--only", nargs="+", metavar="KEY", choices=MEASUREMENTS, help="only these ratios")
     return parser
 
 
@@ -480,47 +274,21 @@ def main() -> None:
         f"\nmedians of {sizes.rounds} rounds in which both sides take turns"
         f" ({sizes.ppo_rounds} for PPO)\n\nThe gather in NumPy that SIC is compared with:\n"
     )
-    print(inspect.getsource(reference.gather))
-    material = Material(sizes)
-    measures, seconds = {}, {}
-    for name in args.only or MEASUREMENTS:
-        measured = MEASUREMENTS[name](material)
-        measures[name], seconds[name] = measured.ratio, measured.medians
-        print(_line(name, measured), flush=True)
+    print(inspect.getsource(gather))
+    measures: dict[str, float] = {}
 
     def report(name: str, value: float, sentence: str) -> None:
         measures[name] = value
         print(f"{name:30} {value:9.3g}   {sentence}", flush=True)
 
+    material = Material(sizes)
+    for name in args.only or MEASUREMENTS:
+        measured = MEASUREMENTS[name](material)
+        report(name, measured.ratio, _sentence(measured))
     if not args.only:
-        _measure_rest(args, material, seconds, report)
+        measure_start(sizes, report)
+        measure_images(sizes, report)
     write_whole(args.out, (json.dumps(measures, indent=1) + "\n").encode())
-
-
-def _measure_rest(
-    args: argparse.Namespace, material: Material, seconds: dict[str, Medians], report: Report
-) -> None:
-    """What is not a ratio of two sides, and the figure."""
-    for name in ("default", "belief"):
-        step = seconds[f"{name}_step_vs_evidence"].ours
-        report(f"{name}_step_ms", 1e3 * step, f"ms per step of the single env, {name}")
-    places = QUICK_SIZES if args.quick else SIZES
-    growth = measure_growth(places, report)
-    measure_memory(material, report)
-    statistics = {"": SICSettings.statistic, "belief_": "belief"}
-    measure_start(statistics, 1 if args.quick else 5, report)
-    if args.layouts:
-        measure_layouts(material, report)
-        measure_waiting(QUICK_SIZES if args.quick else SIZES[:-1], report)
-    if args.big:
-        measure_big(QUICK_SHAPE if args.quick else BIG_SHAPE, report)
-    product = measure_images(QUICK_IMAGES if args.quick else ImageSizes(), report)
-    figure = args.out.with_suffix(".png")
-    draw_roofline(points_of(material.sizes, seconds), product, figure)
-    print(f"roofline: {figure}")
-    figure = figure.with_name(f"{figure.stem}-growth.png")
-    draw_growth(places, growth, figure)
-    print(f"growth: {figure}")
 
 
 if __name__ == "__main__":

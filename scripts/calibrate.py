@@ -58,10 +58,10 @@ def collect(banks: list[ScoreBank], statistic: str, candidates: int, act: Action
     env = TechniqueSelectionVectorEnv(
         len(banks), list(banks), slots=slots, statistic=statistic, candidates=candidates
     )
-    episodes = env.task.episodes
+    episodes: Any = env.task.episodes
     names: tuple[str, ...] = SIC_INPUTS
     if statistic == "belief":  # its confidence is a calibrated one
-        episodes.rules.calibration[:] = UNCALIBRATED
+        episodes.estimator.state.calibration[:] = UNCALIBRATED
         names = BELIEF_INPUTS
     env.reset(options={"bank": np.arange(len(banks)), "start": 0})
     inputs, correct = [], []

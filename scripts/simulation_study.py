@@ -138,21 +138,16 @@ def draw_matrices(simulated: Sequence[ScoreBank], real: Sequence[ScoreBank], pat
                 axes.tick_params(labelsize=6)
 
 
-def _parser() -> Parser:
-    parser = Parser(description=__doc__)
-    parser.add_argument(
-        "--out", type=destination, required=True, metavar="DIR", help="for the figures"
-    )
-    parser.add_argument("--bank", type=Path, action="append", default=[], metavar="BANK")
-    parser.add_argument("--routes", type=int, default=ROUTES, metavar="N", help="simulated routes")
-    parser.add_argument("--seed", type=int, default=SEED, metavar="S", help="of the first route")
-    parser.add_argument("--motion", choices=MOTIONS, default=Simulation.motion)
-    return parser
-
-
 def main() -> None:
     """Draw routes, measure both kinds, print and write."""
-    args = _parser().parse_args()
+    parser = Parser(description=__doc__)
+    add = parser.add_argument
+    add("--out", type=destination, required=True, metavar="DIR", help="for the figures")
+    add("--bank", type=Path, action="append", default=[], metavar="BANK")
+    add("--routes", type=int, default=ROUTES, metavar="N", help="simulated routes")
+    add("--seed", type=int, default=SEED, metavar="S", help="of the first route")
+    add("--motion", choices=MOTIONS, default=Simulation.motion)
+    args = parser.parse_args()
     if args.routes < 1 or args.seed < 0:
         raise ValueError(
             f"--routes is {args.routes} and --seed {args.seed}; give at least 1 and at least 0"

@@ -20,8 +20,9 @@ from amusic_gym.estimation.settings import SICSettings
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from _train_teacher import Parameters
     from amusic_agents.config import TrainingConfig
+
+    from amusic_gym.cli.teacher import Parameters
 
 ALGORITHM = {"evidence": "rollouts", "belief": "imitation+ppo"}
 """Statistic → how what ships for it was trained."""
@@ -47,10 +48,11 @@ def learn(
         routes: simulated routes to choose the teacher on; None: as many as for what ships.
         grid: cascades to choose from; None: those for what ships.
     """
-    from _train_teacher import GRID, ROUTES, make_teacher
     from amusic_agents.imitation import IMITATION, imitate_then_train
     from amusic_agents.policy_iteration import iterate_policy
     from amusic_agents.run_folder import CONFIG
+
+    from amusic_gym.cli.teacher import GRID, ROUTES, make_teacher
 
     if config.algorithm == "rollouts":
         iterate_policy(out, config, resume=(out / CONFIG).exists())

@@ -12,8 +12,7 @@ import oracle_belief
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.env import TechniqueSelectionEnv
-from amusic_gym.estimation import belief
-from amusic_gym.estimation.belief import Rates
+from amusic_gym.estimation.belief import Rates, estimator
 from amusic_gym.estimation.calibration import coefficients
 
 CLOSE = 1e-6
@@ -60,7 +59,7 @@ def shipped_with(rates: Rates) -> Iterator[None]:
 
     Both, because a reset that needs more room asks for the rates again.
     """
-    with mock.patch.object(belief, "fitted", return_value=rates):
+    with mock.patch.object(estimator, "fitted", return_value=rates):
         yield
 
 
@@ -83,12 +82,12 @@ def planted(
 
 def mind_of(env: TechniqueSelectionEnv):
     """MIND record of a single environment."""
-    return env.task.episodes.minds.minds[0, 0]
+    return env.task.episodes.estimator.state.minds[0, 0]
 
 
 def belief_of(env: TechniqueSelectionEnv) -> np.ndarray:
     """(ways, R) belief of a single environment."""
-    minds = env.task.episodes.minds
+    minds = env.task.episodes.estimator.state
     size = env.task.episodes.routes[0].bank.references
     return minds.belief[0, 0, minds.minds[0, 0]["side"], :, -minds.prior.size :][:, :size]
 
@@ -96,7 +95,7 @@ def belief_of(env: TechniqueSelectionEnv) -> np.ndarray:
 def settings_of(env: TechniqueSelectionEnv, bank: ScoreBank, **options) -> oracle_belief.Settings:
     """What the explicit loops need to know of an environment."""
     return oracle_belief.Settings(
-        rates=env.task.episodes.minds.rates,
+        rates=env.task.episodes.estimator.state.rates,
         coefficients=coefficients("belief"),
         tolerance=bank.tolerance,
         seconds=bank.seconds,
@@ -139,7 +138,7 @@ def assert_frame(env: TechniqueSelectionEnv, info: dict, step: oracle_belief.Ste
     room = slack(step.margin, oracle_belief.log_odds(frame.share))
     for name in ("confidence", "margin", "p_correct"):
         assert abs(info[name] - getattr(step, name)) <= 10 * room, name
-    witnesses = env.task.episodes.minds.witnesses[0, 0]
+    witnesses = env.task.episodes.estimator.state.witnesses[0, 0]
     statistics = {}
     for t, own in enumerate(frame.own):
         if own is None:

@@ -122,9 +122,6 @@ class Shard:
     key: str = ""
     size: int = 1
 
-    def portable(self):
-        return self
-
     def run(self, technique, advance=lambda done: None):
         if self.error:
             raise self.error[0](*self.error[1:])

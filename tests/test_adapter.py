@@ -13,8 +13,8 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 
 from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.observation import ROUTE_FEATURES
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
-from amusic_gym.estimation.observation import ROUTE_FEATURES
 
 BANKS = [random_bank(1), random_bank(2, queries=7, references=90), random_bank(3, queries=25)]
 

@@ -34,7 +34,7 @@ def compare(bank: ScoreBank, ran, start: int = 0, allow_idle: bool = True) -> No
     chosen = settings_of(env, bank, allow_idle=allow_idle)
     steps = oracle_belief.drive(bank.scores[:, start:], ran, chosen)
     env.reset(seed=0, options={"start": start})
-    assert env.task.episodes.minds.rates == chosen.rates
+    assert env.task.episodes.estimator.state.rates == chosen.rates
     for action, step in zip(ran, steps, strict=True):
         assert_frame(env, env.step(action)[4], step)
 
@@ -153,7 +153,7 @@ def test_filter_is_the_loops_where_trust_meets_its_limits(lying):
     trusts = []
     for _ in places:
         env.step([1, 1])
-        trusts.append(env.task.episodes.minds.witnesses[0, 0]["trust"].copy())
+        trusts.append(env.task.episodes.estimator.state.witnesses[0, 0]["trust"].copy())
     assert np.max(trusts) == 0.99
     assert (np.min(trusts) < 0.01) == lying
 
@@ -182,13 +182,13 @@ def test_the_belief_is_a_distribution_after_every_frame(seed, activity):
     with shipped_with(rates):
         env = TechniqueSelectionEnv(bank, statistic="belief", allow_idle=True)
         env.reset(seed=0)
-    assert env.task.episodes.minds.rates == rates
+    assert env.task.episodes.estimator.state.rates == rates
     for action in rng.random((60, 3)) < activity:
         observation = env.step(action)[0]
         assert (belief_of(env) >= 0.0).all()
         assert belief_of(env).sum() == pytest.approx(1.0, abs=1e-12)
         assert np.isfinite(observation).all()
-        mind, known = mind_of(env), env.task.episodes.minds.witnesses[0, 0]
+        mind, known = mind_of(env), env.task.episodes.estimator.state.witnesses[0, 0]
         assert all(np.isfinite(mind[name]) for name in mind.dtype.names)
         assert all(np.isfinite(known[name]).all() for name in known.dtype.names)
         assert 0.0 <= mind["rival"] <= mind["share"] * 1.02 <= 1.02
@@ -355,5 +355,5 @@ def test_a_technique_that_lies_loses_its_trust():
     bank = ScoreBank(scores, bank.techniques, bank.seconds, tolerance=2, ground_truth=places)
     env = TechniqueSelectionEnv(bank, statistic="belief")
     infos_of(env, np.ones((200, 3)))
-    trust = env.task.episodes.minds.witnesses[0, 0]["trust"]
+    trust = env.task.episodes.estimator.state.witnesses[0, 0]["trust"]
     assert trust[2] < belief.fitted().trust - 0.05 < min(trust[:2])

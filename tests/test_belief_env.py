@@ -56,7 +56,7 @@ def compare(bank: ScoreBank, actions, block: int, coverage: float) -> int:
     chosen = settings_of(env, bank, block=block, coverage=coverage, allow_idle=True)
     steps = oracle_belief.drive(bank.scores, actions, chosen)
     env.reset(seed=0)
-    assert env.task.episodes.minds.rates == chosen.rates
+    assert env.task.episodes.estimator.state.rates == chosen.rates
     for action, step in zip(actions, steps, strict=True):
         info = env.step(action)[4]
         assert_frame(env, info, step)
@@ -149,7 +149,7 @@ def test_routes_of_several_sizes_side_by_side_are_the_single_ones(block, order):
     batch = TechniqueSelectionVectorEnv(4, banks, **arguments)
     first, _ = batch.reset(seed=0, options={"bank": np.arange(4)})
     together = [first, *(batch.step(action)[0] for action in actions)]
-    minds = batch.task.episodes.minds
+    minds = batch.task.episodes.estimator.state
     for i in range(4):
         env = TechniqueSelectionEnv(banks, **arguments)
         alone = [env.reset(seed=0, options={"bank": i})[0]]
@@ -360,7 +360,8 @@ def bytes_of(queries: int, references: int, block: int | None) -> int:
     env = TechniqueSelectionEnv(bank, statistic="belief", reselection=block)
     play(env, selecting(0, queries, 3)[:, : env.action_space.n])
     episodes = env.task.episodes
-    held = {k: v for k, v in vars(episodes).items() if k not in ("routes", "drives")}
+    tables = (episodes.state, episodes.estimator.state, episodes.estimator)
+    held = [list(vars(table).values()) for table in tables]
     prepared = vars(bank.prepared(50))
     owners = {}
     for array in arrays([held, prepared]):

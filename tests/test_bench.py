@@ -11,51 +11,28 @@ from pathlib import Path
 SCRIPT = Path(__file__).parent.parent / "scripts" / "bench.py"
 KEYS = {
     "sic_vs_numpy",
+    "sic_share_of_limit",
     "vector_env_vs_cartpole_vector",
     "single_env_vs_cartpole",
     "half_step_vs_whole",
-    "ppo_vs_constant_env",
-    "sic_share_of_limit",
-    "hog_describe_ms",
-    "cohog_describe_ms",
-    "calc_describe_ms",
-    "netvlad_describe_ms",
-    "cohog_match_vs_numpy",
-    "cohog_match_share_of_limit",
-    "live_hog_frames_per_second",
-    "live_overhead_ms",
-    "default_vector_env_vs_cartpole_vector",
-    "default_single_env_vs_cartpole",
     "carry_step_vs_without",
     "discount_step_vs_without",
     "belief_step_vs_evidence",
-    "belief_step_ms",
     "belief_two_threads_vs_one",
-    "default_step_ms",
-    "default_step_vs_evidence",
-    "belief_live_overhead_ms",
-    "sic_vs_numpy_loop",
-    "ppo_large_vs_constant_env",
-    "step_share_of_limit",
-    "sic_us_at_100",
-    "sic_us_at_400",
-    "growth_exponent",
-    "route_bytes_per_place",
+    "ppo_vs_constant_env",
     "import_seconds",
     "first_step_cold_seconds",
     "first_step_cached_seconds",
     "belief_first_step_cold_seconds",
     "belief_first_step_cached_seconds",
-    "rejected_add_by_lines",
-    "rejected_roots_and_divisions",
-    "rejected_prefix_sums",
-    "waiting_at_100",
-    "waiting_at_400",
-    "big_anonymous_mb",
-    "big_run_us",
-    "big_share_of_read",
+    "hog_describe_ms",
+    "cohog_describe_ms",
+    "calc_describe_ms",
+    "netvlad_describe_ms",
+    "live_hog_frames_per_second",
+    "live_overhead_ms",
+    "belief_live_overhead_ms",
 }
-MAY_BE_NEGATIVE = {"growth_exponent", "big_anonymous_mb"}  # on maps as small as these
 
 
 def bench(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -65,14 +42,12 @@ def bench(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_quick_bench_writes_finite_numbers(tmp_path):
     out = tmp_path / "new" / "bench.json"
-    done = bench("--quick", "--big", "--layouts", "--out", str(out))
+    done = bench("--quick", "--out", str(out))
     assert (done.returncode, done.stderr) == (0, "")
     ratios = json.loads(out.read_text(encoding="utf-8"))
     assert ratios.keys() == KEYS
     assert all(math.isfinite(ratio) for ratio in ratios.values()), ratios
-    assert all(ratios[key] > 0.0 for key in KEYS - MAY_BE_NEGATIVE), ratios
-    assert out.with_suffix(".png").stat().st_size > 10_000
-    assert out.with_name("bench-growth.png").stat().st_size > 10_000
+    assert all(ratio > 0.0 for ratio in ratios.values()), ratios
     assert all(key in done.stdout for key in KEYS)
     assert "def gather(" in done.stdout
 

@@ -14,7 +14,7 @@ from amusic_gym.extraction import cache as cache_module
 from amusic_gym.extraction import code
 from amusic_gym.extraction.blocks import Images
 from amusic_gym.extraction.cache import Cache, default_cache
-from amusic_gym.extraction.describe import Plan
+from amusic_gym.extraction.describe import ExtractionPlan
 from amusic_gym.techniques import Technique
 
 KEY = code.key_of(test=1)
@@ -132,7 +132,7 @@ def test_damaged_entries_are_warned_of_once_and_counted(tmp_path):
 
 def test_queries_share_the_maps_entries_where_they_are_described_alike():
     images = Images((), ("digest",))
-    same, other = (Plan.of(technique, images, images) for technique in (Tiny(), TwoSided()))
+    same, other = (ExtractionPlan(technique, images, images) for technique in (Tiny(), TwoSided()))
     keys = [plan.descriptor_key(images, query=query) for plan in (same, other) for query in (0, 1)]
     assert keys[0] == keys[1]
     assert len(set(keys)) == 3

@@ -52,7 +52,7 @@ def test_the_estimate_of_the_belief_is_the_documented_one(bank):
         info = env.step(action)[4]
         if info["prediction"] < 0:
             continue
-        mind = env.task.episodes.minds.minds[0, 0]
+        mind = env.task.episodes.estimator.state.minds[0, 0]
         if info["ran"].any():
             said_mean += 0.2 * (mind["said"] / info["ran"].sum() - said_mean)
         ratio = log_ratio(mind["share"], mind["rival"])
@@ -204,12 +204,12 @@ def test_samples_are_those_of_single_routes_before_calibration(script, statistic
         samples = []
         for frame in range(bank.queries):
             info = env.step(np.ones(len(bank.techniques)))[4]
-            mind = env.task.episodes.minds.minds[0, 0]
             known = env.task.episodes.state.routes[0]
             discount = env.task.episodes.state.slots[0]["discount"][info["technique"]]
             sample = [info["confidence"], discount, known["track"], known["recent"]]
             sample += [known["heard"], known["support"], info["margin"]]
             if statistic == "belief":
+                mind = env.task.episodes.estimator.state.minds[0, 0]
                 share = log_odds(mind["share"])
                 sample = [share, info["margin"], known["said"], known["said_mean"]]
             samples.append(sample)

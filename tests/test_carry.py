@@ -19,10 +19,10 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs import episode, live_rows
 from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
-from amusic_gym.estimation import sic as kernels
-from amusic_gym.estimation.dynamics import IDLE_DECAY
+from amusic_gym.estimation.prediction import IDLE_DECAY
 from amusic_gym.estimation.settings import SICSettings
-from amusic_gym.estimation.sic import SIC
+from amusic_gym.estimation.sic import state as kernels
+from amusic_gym.estimation.sic.correction import SIC
 
 TWINS = [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))]
 
@@ -279,7 +279,7 @@ def test_a_live_route_whose_rows_wait_to_be_added_gives_what_its_bank_gives(monk
             actions = actions_for(arguments, rng, 89, len(NAMES))
             first, second = (TechniqueSelectionEnv(each, **arguments) for each in (live, bank))
             assert_same(play(first, actions), play(second, actions))
-            assert first.task.episodes.state.marks["depth"].all()
+            assert first.task.episodes.estimator.state.marks["depth"].all()
 
 
 def test_what_is_carried_outlives_the_growing_room_of_an_endless_route(monkeypatch):

@@ -11,18 +11,21 @@ import pytest
 from numba.core import caching
 from numba.core.dispatcher import Dispatcher
 
-from amusic_gym.estimation import dynamics, selection
+from amusic_gym.envs import step
 from amusic_gym.estimation.belief import filter as belief_filter
+from amusic_gym.estimation.sic import look_back, update
 from amusic_gym.kernels import compiling as _compile
 from amusic_gym.techniques import _cohog_description, _cohog_kernel
 from amusic_gym.utils import imports
 from amusic_gym.utils.imports import PACKAGE, digest_of, source_files
 
 KERNELS = [
-    dynamics.step_routes,
-    dynamics.step_beliefs,
-    selection.select_routes,
+    step.choose_routes,
+    step.observe_routes,
+    update.update_routes,
+    look_back.look_back,
     belief_filter.hear_routes,
+    belief_filter.update_routes,
     belief_filter.look_back,
     _cohog_kernel.match_regions,
     _cohog_description.local_entropy,
@@ -71,9 +74,7 @@ def test_53_a_kernel_is_stale_when_any_file_of_its_code_changes(kernel, tmp_path
 
 
 def test_53_constants_of_the_observation_are_part_of_a_step():
-    assert PACKAGE / "estimation" / "observation.py" in source_files(
-        Path(dynamics.__file__), lazily=False
-    )
+    assert PACKAGE / "envs" / "observation.py" in source_files(Path(step.__file__), lazily=False)
 
 
 def test_imports_count_wherever_they_stand_but_for_type_checkers():
@@ -159,3 +160,17 @@ def test_23_a_damaged_index_that_cannot_be_replaced_is_gone_without(
     file.write_bytes(b"")
     monkeypatch.setattr(caching.IndexDataCacheFile, "_open_for_write", read_only)
     assert _compile.compiled(twice)(3.0) == 6.0
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_the_first_compilation_says_on_a_terminal_how_long_it_takes(
+    terminal, monkeypatch, tmp_path, capsys
+):
+    monkeypatch.setattr(caching.config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr("sys.stderr.isatty", lambda: terminal)
+    _compile._announce.cache_clear()
+    assert _compile.compiled(twice)(3.0) == _compile.compiled(twice)(3) == 6
+    said = capsys.readouterr().err
+    assert said == terminal * "amusic_gym: compiling kernels, once; this takes 10 to 30 seconds\n"
+    assert _compile.compiled(twice)(3.0) == 6.0  # from the cache
+    assert not capsys.readouterr().err

@@ -241,7 +241,7 @@ def test_own_places_and_statistics_are_those_of_the_environment(script, statisti
 
 
 def test_the_figure_shows_every_bin_that_has_frames(script, monkeypatch, tmp_path):
-    module, shown = script("_reliability_figure"), []
+    module, shown = script("correctness"), []
 
     @contextmanager
     def keeping(*given):

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
-import sys
 from functools import partial
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from amusic_agents.config import RolloutConfig, TrainingConfig
 
+from amusic_gym.cli import demo, demo_tours, start
+from amusic_gym.cli import demo_story as story
 from amusic_gym.evaluation.study import rivals
 from amusic_gym.routes.simulate import simulate
-
-SCRIPTS = Path(__file__).parent.parent / "scripts"
 
 
 def row(policy: str, auc: float, compute: float, weight: float | None = None) -> dict:
@@ -64,23 +62,14 @@ FINDINGS = SimpleNamespace(
 )
 
 
-@pytest.fixture
-def scripts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-
-
-def test_best_within_takes_the_cheaper_of_equals_and_else_the_cheapest(scripts):
-    import _demo_story as story
-
+def test_best_within_takes_the_cheaper_of_equals_and_else_the_cheapest():
     own = [each for each in POINTS if each["policy"] == "trained here"]
     assert story.best_within(own, 0.45)["compute"] == 0.35  # .8801 and .8804 are both .880
     assert story.best_within(own, 1.0)["compute"] == 0.70
     assert story.best_within(own, 0.01)["compute"] == 0.1
 
 
-def test_story_says_who_is_ahead_level_and_behind(scripts):
-    import _demo_story as story
-
+def test_story_says_who_is_ahead_level_and_behind():
     lines = story.on_tours(FINDINGS, {"trained here": "The selector"})
     assert lines[0] == (
         "The selector reaches AUC 0.880 (0.870 to 0.890) at 35% of the compute of all techniques"
@@ -100,11 +89,7 @@ def test_story_says_who_is_ahead_level_and_behind(scripts):
     assert len(lines) == 3
 
 
-def test_demo_from_worlds_to_page(scripts, monkeypatch, tmp_path, capsys):
-    import _demo_drive
-    import _demo_tours
-    import demo
-
+def test_demo_from_worlds_to_page(monkeypatch, tmp_path, capsys):
     small = {"n_envs": 8, "pool": 2, "held_out": 1, "threads": 1}
     tiny = partial(RolloutConfig, horizon=4, hold=2, every=1)
     monkeypatch.setattr(demo, "TrainingConfig", lambda **given: TrainingConfig(**given | small))
@@ -113,23 +98,21 @@ def test_demo_from_worlds_to_page(scripts, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(demo, "QUICK", few)
     monkeypatch.setattr(rivals, "DRAWS", 2)
     monkeypatch.setattr(rivals, "COMPUTE_WEIGHTS", (0.1, 1.0))
-    monkeypatch.setattr(_demo_tours, "PLACES", 8)
-    monkeypatch.setattr(_demo_tours, "SEEDS", (1, 2))
-    monkeypatch.setattr(_demo_tours, "EXECUTOR", "serial")
-    monkeypatch.setattr(_demo_tours, "TECHNIQUES", ("hog", "cohog"))
-    worlds = [_demo_tours.World("corridor", 1, "night"), _demo_tours.World("rail", 2, "rain")]
-    monkeypatch.setattr(_demo_tours, "WORLDS", worlds)
-    monkeypatch.setattr(_demo_drive, "SHOWN", 3)
+    monkeypatch.setattr(demo_tours, "PLACES", 8)
+    monkeypatch.setattr(demo_tours, "SEEDS", (1, 2))
+    monkeypatch.setattr(demo_tours, "EXECUTOR", "serial")
+    monkeypatch.setattr(demo_tours, "TECHNIQUES", ("hog", "cohog"))
+    worlds = [demo_tours.World("corridor", 1, "night"), demo_tours.World("rail", 2, "rain")]
+    monkeypatch.setattr(demo_tours, "WORLDS", worlds)
+    monkeypatch.setattr(demo_tours, "OF_DRIVE", 3)
     monkeypatch.delenv("AMUSIC_DATA", raising=False)
     own = simulate(5, queries=30, techniques=3).save(tmp_path / "own")
     out = tmp_path / "out"
-    arguments = ["--out", out, "--iterations", 1, "--bank", own]
-    monkeypatch.setattr(sys, "argv", ["demo.py", *map(str, arguments)])
+    arguments = ["--out", str(out), "--iterations", "1", "--bank", str(own)]
     with pytest.raises(ValueError, match="the paper gives no time for"):
-        demo.main()  # before anything is rendered
+        start("demo", arguments)  # before anything is rendered
     assert not out.exists()
-    monkeypatch.setattr(sys, "argv", ["demo.py", *map(str, [*arguments, "--costs", "runs"])])
-    demo.main()
+    start("demo", [*arguments, "--costs", "runs"])
     said = capsys.readouterr().out
     assert "On tours that no training saw, the selector trained here reaches AUC" in said
     assert "On simulated-5, which no training saw, the selector trained here" in said

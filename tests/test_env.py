@@ -27,13 +27,13 @@ from stable_baselines3.common.env_checker import check_env as check_env_sb3
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs import env as env_module
 from amusic_gym.envs.env import TechniqueSelectionEnv
-from amusic_gym.envs.rewards import RewardInputs
-from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
-from amusic_gym.estimation.dynamics import IDLE_DECAY
-from amusic_gym.estimation.observation import (
+from amusic_gym.envs.observation import (
     observation_names,
     observation_size,
 )
+from amusic_gym.envs.rewards import RewardInputs
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.estimation.prediction import IDLE_DECAY
 from amusic_gym.estimation.settings import STATISTICS
 
 ARGUMENTS = [

@@ -9,8 +9,9 @@ from selection_cases import assert_details, assert_route, follow
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.env import TechniqueSelectionEnv
-from amusic_gym.estimation import sic
 from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.estimation.sic import state as sic
+from amusic_gym.estimation.sic.sums import TILE
 
 FRAMES = 10_000
 QUERIES, PLACES, WIDTH = 40, 16, 3
@@ -80,7 +81,7 @@ def test_rows_that_wait_on_large_maps_change_nothing(monkeypatch, history, make)
 
 
 def test_observations_on_a_large_map_are_those_of_rows_added_at_once(monkeypatch):
-    rng, count = np.random.default_rng(3), 2 * sic.TILE + 7
+    rng, count = np.random.default_rng(3), 2 * TILE + 7
     scores = rng.standard_normal((2, 60, count)).astype(np.float32)
     bank = ScoreBank(scores, ["A", "B"], [1.0, 2.0], tolerance=1, ground_truth=np.full(60, -1))
     actions = rng.random((60, 3)) < 0.6
@@ -91,5 +92,5 @@ def test_observations_on_a_large_map_are_those_of_rows_added_at_once(monkeypatch
         env = TechniqueSelectionEnv(bank, statistic="evidence", reselection=4)
         env.reset()
         seen.append([env.step(action)[0] for action in actions])
-        assert env.task.episodes.state.marks["depth"].all() == (large == 1)
+        assert env.task.episodes.estimator.state.marks["depth"].all() == (large == 1)
     np.testing.assert_array_equal(*seen)

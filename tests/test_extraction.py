@@ -20,7 +20,7 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.extraction import BLOCK, Cache, DescribedMap, describe_map, extract
 from amusic_gym.extraction import seconds as seconds_module
-from amusic_gym.extraction.describe import Plan, images_of
+from amusic_gym.extraction.describe import ExtractionPlan, images_of
 from amusic_gym.extraction.executors import make_executor
 from amusic_gym.extraction.seconds import Cost, cost_of, measure_cost
 from amusic_gym.extraction.shards import DescribeShard, MatchShard
@@ -150,7 +150,7 @@ def test_descriptors_are_not_needed_where_scores_are_known(folders, tmp_path):
     arguments["ground_truth"] = FRAMES
     first = extract(*folders, [Tiny(log=log)], **arguments)
     sides = [images_of(ImageFolder(folder)) for folder in folders]
-    plan = Plan.of(Tiny(), *sides)
+    plan = ExtractionPlan(Tiny(), *sides)
     for images in (*plan.references, *plan.queries):
         key = plan.descriptor_key(images, query=False)
         (tmp_path / "cache" / key[:2] / f"{key}.entry").unlink()
@@ -550,7 +550,7 @@ def test_a_map_may_be_described_by_names(two_images, tmp_path):
 
 def test_in_this_process_work_is_told_image_by_image(two_images, tmp_path):
     images = images_of(ImageFolder(two_images))
-    plan, told = Plan.of(Tiny(), images, images), []
+    plan, told = ExtractionPlan(Tiny(), images, images), []
     workers = make_executor("serial").workers(plan.technique)
     ((_, found),) = workers.run([DescribeShard("key", images, query=False)], told.append)
     assert told == [1, 1]

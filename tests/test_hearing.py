@@ -71,7 +71,7 @@ def test_rows_are_prepared_before_the_threads_begin(monkeypatch):
         seen.append(address)
         prepare_rows(address)
 
-    monkeypatch.setattr("amusic_gym.estimation.belief.hearing.prepare_rows", first)
+    monkeypatch.setattr("amusic_gym.estimation.belief.estimator.prepare_rows", first)
     for threads in (1, 2):
         env = make(threads)
         env.reset(seed=0)
@@ -113,7 +113,7 @@ def test_an_interrupt_waits_for_the_other_threads(monkeypatch):
 
     env = make(2)
     env.reset(seed=0)
-    monkeypatch.setattr("amusic_gym.estimation.belief.hearing.hear_routes", slow)
+    monkeypatch.setattr("amusic_gym.estimation.belief.estimator.hear_routes", slow)
     with pytest.raises(KeyboardInterrupt):
         env.step(np.ones((5, 3)))
     interrupted = time.monotonic()
@@ -126,7 +126,7 @@ def test_without_further_threads_this_one_does_it_all(monkeypatch):
         def submit(self, *given: object) -> None:
             raise RuntimeError("cannot schedule new futures after interpreter shutdown")
 
-    monkeypatch.setattr("amusic_gym.estimation.belief.hearing._executor", Ended)
+    monkeypatch.setattr("amusic_gym.estimation.belief.estimator._executor", Ended)
     one, several = make(1), make(3)
     assert_same(one.reset(seed=4), several.reset(seed=4))
     assert_same(steps(one, 20), steps(several, 20))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,9 +31,10 @@ from amusic_baselines.cascade import Cascade
 from amusic_baselines.subset import Subset
 from env_cases import random_bank
 from safetensors.torch import load_file
-from small_training import SCRIPTS, SMALL, contents, stop_at
+from small_training import SMALL, contents, stop_at
 
 from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.cli import teacher as teachers
 from amusic_gym.envs.sources import Banks, SimulatedRoutes
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation.metrics import compute
@@ -496,11 +496,8 @@ def test_imitation_and_ppo_resume_in_either_part(tmp_path, monkeypatch, owner, n
 
 
 @pytest.fixture
-def choosing(monkeypatch):
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    import _train_teacher
-
-    return _train_teacher
+def choosing():
+    return teachers
 
 
 def test_the_chosen_cascade_pays_most_by_true_correctness(choosing):
@@ -570,11 +567,8 @@ def test_routes_to_choose_on_are_training_routes(choosing):
 
 
 @pytest.fixture
-def command(monkeypatch, capsys, choosing):
+def command(monkeypatch, amusic, choosing):
     """Runs the command with a small teacher; its exit status and the lines on stderr."""
-    import _cli
-    import train as script
-
     settings = ImitationConfig(rounds=2, frames=40, epochs=1)
     defaults = {**SMALL, "imitation": settings}
     monkeypatch.setattr(
@@ -584,13 +578,11 @@ def command(monkeypatch, capsys, choosing):
     monkeypatch.setattr(choosing, "PARTS", 2)
     monkeypatch.setitem(choosing.make_teacher.__kwdefaults__, "grid", choosing.GRID[:3])
     monkeypatch.setitem(choosing.choose_cascades.__kwdefaults__, "progress", False)
-    monkeypatch.setattr(sys, "argv", ["train.py"])
 
     def call(*arguments: object) -> tuple[int, list[str]]:
-        with pytest.raises(SystemExit) as ended:
-            _cli.run(lambda: script.main([str(argument) for argument in arguments]))
-        lines = capsys.readouterr().err.strip().splitlines()
-        return int(ended.value.code), [line for line in lines if "imitation:" not in line]
+        status, _, err = amusic("train", *arguments)
+        lines = err.strip().splitlines()
+        return status, [line for line in lines if "imitation:" not in line]
 
     return call
 

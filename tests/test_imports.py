@@ -16,7 +16,7 @@ PATHS = (ROOT, ROOT / "agents", ROOT / "baselines")
 HEAVY = ("torch", "cv2", "pygame", "stable_baselines3", "matplotlib", "numba", "scipy.stats")
 OURS = {"amusic_gym", "amusic_baselines", "amusic_agents", "scripts", "tests"}
 
-# What each package may use of the others.
+# What each package may use of the others; the room of the commands uses them all.
 ALLOWED = {
     "amusic_gym": set(),
     "amusic_baselines": {"amusic_gym"},
@@ -27,9 +27,12 @@ FOLDERS = {"amusic_baselines": "baselines", "amusic_agents": "agents"}
 
 # Inside amusic_gym: the rooms, each built on those before it only.
 ROOMS = (
-    *("utils", "kernels", "techniques", "banks", "routes", "worlds", "extraction", "estimation"),
-    *("policies", "envs", "live", "evaluation"),
+    *("utils", "kernels", "techniques", "banks", "routes", "worlds", "pretraining"),
+    *("extraction", "estimation", "policies", "envs", "live", "evaluation", "cli"),
 )
+
+WINGS = ("worlds", "pretraining")
+"""Rooms that only their ``__init__`` opens."""
 
 
 def loaded_after(code: str) -> set[str]:
@@ -98,6 +101,8 @@ def test_policies_that_are_not_learned_need_no_network():
 def test_packages_import_one_way(package):
     wrong = []
     for file in files(ROOT / FOLDERS.get(package, ".") / package):
+        if file.is_relative_to(ROOT / "amusic_gym/cli"):
+            continue
         for name in imports(file.read_text(encoding="utf-8")):
             top = name.split(".")[0]
             if top in OURS - {package} - ALLOWED[package]:
@@ -117,10 +122,24 @@ def test_rooms_import_one_way(room):
     assert not wrong
 
 
+@pytest.mark.parametrize("wing", WINGS)
+def test_a_closed_wing_is_entered_by_its_door_only(wing):
+    inside, door = ROOT / "amusic_gym" / wing, f"amusic_gym.{wing}"
+    modules = {f"{door}.{file.stem}" for file in files(inside)}
+    wrong = []
+    for package in ALLOWED:
+        for file in files(ROOT / FOLDERS.get(package, ".") / package):
+            for name in imports(file.read_text(encoding="utf-8")):
+                behind = any(f"{name}.".startswith(f"{module}.") for module in modules)
+                if behind and inside not in file.parents:
+                    wrong.append(f"{file.relative_to(ROOT)} imports {name}")
+    assert not wrong
+
+
 def test_every_module_stands_in_a_room():
     inside = (ROOT / "amusic_gym").rglob("*.py")
     rooms = {file.relative_to(ROOT / "amusic_gym").parts[0] for file in inside}
-    assert rooms == {"__init__.py", *ROOMS}
+    assert rooms == {"__init__.py", "__main__.py", *ROOMS}
 
 
 def test_no_module_imports_what_imports_it():

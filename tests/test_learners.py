@@ -31,8 +31,8 @@ from safetensors.torch import load_file
 from small_training import SMALL
 
 from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
 from amusic_gym.envs.sources import Banks
-from amusic_gym.estimation.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
 from amusic_gym.estimation.settings import BLOCK, SICSettings
 from amusic_gym.evaluation.rollout import Job, rollout, rollouts
 

@@ -35,7 +35,6 @@ from amusic_gym.banks.bank import PAPER_SECONDS
 from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.envs.live_route import ImageSequence, LiveRoute, as_frames
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
-from amusic_gym.estimation.belief.memory import REACH
 
 cached_pair = cache(pair)
 
@@ -247,10 +246,10 @@ def test_a_stream_ends_with_its_last_frame(knows):
 
 
 @pytest.mark.parametrize(
-    ("statistic", "sums", "belief"),
-    [("evidence", 20 + 512, 0), ("belief", 0, 20)],  # numbers per technique, places of each line
+    ("statistic", "longest", "shape"),
+    [("evidence", "sums", (2, 1, 3, 20 + 512)), ("belief", "hubs", (2, 1, 3, 2, 20))],
 )
-def test_the_memory_of_an_endless_route_is_bounded_but_for_what_ran(statistic, sums, belief):
+def test_the_memory_of_an_endless_route_is_bounded_but_for_what_ran(statistic, longest, shape):
     images = traverse(40, 2)
 
     class Endless(Stream):
@@ -264,17 +263,15 @@ def test_the_memory_of_an_endless_route_is_bounded_but_for_what_ran(statistic, s
     for frame, action in enumerate(random_actions(2, 2200, (4,))):
         env.step(action)
         if frame in (1000, 2199):
-            drive, state, minds = drive_of(env), env.task.episodes.state, env.task.episodes.minds
+            drive, episodes = drive_of(env), env.task.episodes
             sizes[frame] = (
                 [buffer.rows.shape for buffer in drive.buffers],
                 len(drive._images),
-                state.sums.shape,
-                (minds.belief.shape[:2], minds.belief.shape[-1] - REACH, minds.hubs.shape),
-                state.ran.shape,
+                getattr(episodes.estimator.state, longest).shape,
+                episodes.state.ran.shape,
             )
-    minded = ((2, 1), belief, (2, 1, 3, 2, belief))
-    assert sizes[1000] == ([(20 + 10 + 4, 20)] * 3, 6, (2, 1, 3, sums), minded, (1, 3, 1024))
-    assert sizes[2199] == (*sizes[1000][:4], (1, 3, 4096))
+    assert sizes[1000] == ([(20 + 10 + 4, 20)] * 3, 6, shape, (1, 3, 1024))
+    assert sizes[2199] == (*sizes[1000][:3], (1, 3, 4096))
     assert env.task.describe(0).startswith("pair frame 2200: place")
 
 

@@ -8,7 +8,6 @@ import re
 import signal
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 
 import cv2
@@ -16,6 +15,7 @@ import numpy as np
 import pytest
 from amusic_baselines import make_policy
 
+from amusic_gym.cli import drive
 from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.extraction import extract
 from amusic_gym.routes.video import VideoFile, VideoWriter
@@ -73,14 +73,10 @@ def world(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def navigate(world, monkeypatch, capsys):
+def navigate(world, monkeypatch, amusic):
     """Runs the script in this process; gives its exit status, stdout and stderr."""
-    monkeypatch.syspath_prepend(SCRIPTS)
-    monkeypatch.setattr(sys, "argv", ["navigate.py"])
     monkeypatch.setattr(Counting, "queries", 0)
     monkeypatch.setattr(Counting, "stop_at", None)
-    script = importlib.import_module("navigate")
-    cli = importlib.import_module("_cli")
 
     def run(*extra: str, **changes: str | None) -> tuple[int, str, str]:
         given = {
@@ -92,9 +88,7 @@ def navigate(world, monkeypatch, capsys):
             "cache": f"{world}/cache",
         } | changes
         words = [w for name, v in given.items() if v is not None for w in (f"--{name}", *v.split())]
-        with pytest.raises(SystemExit) as ended:
-            cli.run(partial(script.main, [*words, *extra]))
-        return ended.value.code, *capsys.readouterr()
+        return amusic("navigate", *words, *extra)
 
     return run
 
@@ -170,7 +164,7 @@ def test_the_trace_is_that_of_a_bank_of_the_same_images(navigate, world, tmp_pat
 
 def test_what_is_turned_off_reaches_the_policy(navigate, monkeypatch):
     seen = []
-    script = importlib.import_module("navigate")
+    script = importlib.import_module("amusic_gym.cli.navigate")
     live = script.navigate
 
     def watched(policy, route, **options):
@@ -256,7 +250,7 @@ def test_a_number_is_a_camera(navigate, monkeypatch):
             self.closed = True
 
     cameras: list[FakeCamera] = []
-    monkeypatch.setattr(importlib.import_module("navigate"), "Camera", FakeCamera)
+    monkeypatch.setattr(importlib.import_module("amusic_gym.cli.navigate"), "Camera", FakeCamera)
     code, out, _ = navigate(query="3")
     assert code == 0
     assert len(lines_of(out)) == 4
@@ -345,9 +339,9 @@ def test_32_without_pygame_the_refusal_names_the_command(navigate, monkeypatch):
         ({"techniques": "hgo"}, "unknown technique 'hgo': did you mean 'hog'"),
         ({"techniques": ","}, "--techniques names none"),
         ({"techniques": "hog,HOG"}, "HOG"),
-        ({"weights": "CALC=x"}, "--weights for calc, but --techniques names hog"),
+        ({"weights": "CALC=x"}, "--weights: unknown technique 'CALC'"),
         ({"weights": "HOG=no/file"}, "takes no weights; leave out no/file"),
-        ({"seconds": "HGO=1"}, "--seconds HGO=1: techniques are HOG"),
+        ({"seconds": "HGO=1"}, "--seconds: unknown technique 'HGO': did you mean 'HOG'"),
         ({"seconds": "HOG=soon"}, "--seconds HOG=soon: 'soon' is not a number"),
         ({"seconds": "HOG"}, "--seconds 'HOG' is not of the form NAME=VALUE"),
         ({"seconds": "HOG=-1"}, "-1"),
@@ -475,7 +469,7 @@ def test_names_reach_no_terminal_raw(navigate, tmp_path):
 def test_50_a_drive_whose_places_are_doubtful_says_so_in_its_summary(
     navigate, world, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(sys.modules["_drive"], "SETTLED", 5)
+    monkeypatch.setattr(drive, "SETTLED", 5)
     strange = tmp_path / "strange"
     strange.mkdir()
     rng = np.random.default_rng(0)

@@ -13,13 +13,13 @@ from env_cases import assert_same, play, random_actions
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.env import TechniqueSelectionEnv
-from amusic_gym.estimation.observation import (
+from amusic_gym.envs.observation import (
     ROUTE_FEATURES,
-    SMOOTHING,
     TECHNIQUE_FEATURES,
     observation_names,
     observation_size,
 )
+from amusic_gym.estimation.prediction import SMOOTHING
 from amusic_gym.estimation.settings import STATISTICS
 
 
@@ -238,7 +238,7 @@ class BeliefObserver(Observer):
 
     def read(self, t: int, frame: int) -> None:
         """Remember what a technique's row made of the belief."""
-        known = self.episodes.minds.witnesses[0, 0, t]
+        known = self.episodes.estimator.state.witnesses[0, 0, t]
         self.slots[t].update({key: known[key] for key in ("statistic", "margin", "correction")})
         self.slots[t].update(trust=known["trust"], weight=known["weight"], said=known["said"])
         sharpness = known["once"] + 2.0 * known["twice"] + 4.0 * known["fourfold"]
@@ -249,7 +249,7 @@ class BeliefObserver(Observer):
         """Take in what a step's infos say."""
         super().note(frame, info)
         if info["prediction"] >= 0:
-            mind, known = self.episodes.minds.minds[0, 0], self.route
+            mind, known = self.episodes.estimator.state.minds[0, 0], self.route
             known.update({key: mind[key] for key in ("steady", "strange", "said")})
             if not info["idle"]:
                 known["said_mean"] += SMOOTHING * (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -44,14 +43,14 @@ from amusic_agents.training import make_model
 from env_cases import random_actions, random_bank
 from live_cases import pair
 from safetensors.torch import load_file
-from small_training import SCRIPTS, SMALL, contents, stop_at
+from small_training import SMALL, contents, stop_at
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.envs.observation import TECHNIQUE_FEATURES
+from amusic_gym.envs.outcome import Outcome
 from amusic_gym.envs.sources import Banks, SimulatedRoutes
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
-from amusic_gym.estimation.observation import TECHNIQUE_FEATURES
-from amusic_gym.estimation.records import Outcome
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation.rollout import Job, rollout
 
@@ -691,23 +690,17 @@ def test_it_is_no_algorithm_that_learns_step_by_step():
 
 
 @pytest.fixture
-def command(monkeypatch, capsys):
+def command(monkeypatch, amusic):
     """Runs train.py with small settings; its exit status and the lines on stderr."""
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    import _cli
-    import train as script
-
     defaults = {**SMALL, "rollouts": RolloutConfig(**TRIED)}
     monkeypatch.setattr(
         "amusic_agents.config.TrainingConfig", lambda **v: TrainingConfig(**defaults | v)
     )
-    monkeypatch.setattr(sys, "argv", ["train.py"])
 
     def call(*arguments: object) -> tuple[int, list[str]]:
-        with pytest.raises(SystemExit) as ended:
-            _cli.run(lambda: script.main([str(argument) for argument in arguments]))
-        lines = capsys.readouterr().err.strip().splitlines()
-        return int(ended.value.code), [line for line in lines if "rollouts:" not in line]
+        status, _, err = amusic("train", *arguments)
+        lines = err.strip().splitlines()
+        return status, [line for line in lines if "rollouts:" not in line]
 
     return call
 

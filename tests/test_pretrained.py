@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import importlib
 import json
 import os
 import re
 import signal
-import sys
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +18,10 @@ from corridor import data_folder
 from safetensors import safe_open
 from torch import get_num_threads, set_num_threads
 
+from amusic_gym.pretraining import calc, job, netvlad, pools
+from amusic_gym.pretraining.job import Job
+from amusic_gym.pretraining.loop import Training
+from amusic_gym.pretraining.pools import DRIVES, SIGHTS, Pool, PoolSize, collage, make_pool
 from amusic_gym.routes.images import read_image
 from amusic_gym.techniques import make_technique
 from amusic_gym.techniques.networks import NetVLADWidths
@@ -25,15 +29,8 @@ from amusic_gym.techniques.preparation import Preparation
 from amusic_gym.techniques.weight_files import PRETRAINED, shipped
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
-sys.path.insert(0, str(SCRIPTS))  # the trainings, as their scripts find each other
-
-import train_calc  # noqa: E402  (found by the line above)
-import train_netvlad  # noqa: E402
-from _training_images import DRIVES, SIGHTS, Pool, PoolSize, collage, make_pool  # noqa: E402
-from _training_loop import Training  # noqa: E402
-from _training_run import Job  # noqa: E402
-
-NAMES = ("calc", "netvlad")
+MODULES = {"calc": calc, "netvlad": netvlad}
+NAMES = tuple(MODULES)
 CARD = (PRETRAINED / "CARD.md").read_text("utf-8")
 
 
@@ -98,8 +95,8 @@ def test_shipped_weights_recognise_places_of_a_real_recording(name, least):
 
 
 TINY = PoolSize(worlds=2, places=4)
-CALC = train_calc.Settings(steps=4, pictures=3, rate=2e-3, pool=TINY, held_out=TINY)
-NETVLAD = train_netvlad.Settings(
+CALC = calc.Settings(steps=4, pictures=3, rate=2e-3, pool=TINY, held_out=TINY)
+NETVLAD = netvlad.Settings(
     point_steps=5,
     place_steps=3,
     pictures=4,
@@ -123,17 +120,17 @@ def without_rendering(monkeypatch) -> None:
         views = np.stack([np.stack([scenes] * SIGHTS, axis=2)] * DRIVES, axis=2)
         return Pool(views)
 
-    monkeypatch.setattr("_training_run.make_pool", pool)
+    monkeypatch.setattr(job, "make_pool", pool)
 
 
 def train_tiny(name: str, folder: Path, **changes) -> tuple[list[float], bytes]:
     """Losses of a tiny training (of its first stage) and the file that it wrote."""
-    job = Job(folder / f"{name}.safetensors", progress=False)
+    given = Job(folder / f"{name}.safetensors", progress=False)
     if name == "calc":
-        losses = train_calc.train(job, replace(CALC, **changes))
+        losses = calc.train(given, replace(CALC, **changes))
     else:
-        losses, _ = train_netvlad.train(job, replace(NETVLAD, **changes))
-    return losses, job.out.read_bytes()
+        losses, _ = netvlad.train(given, replace(NETVLAD, **changes))
+    return losses, given.out.read_bytes()
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -168,8 +165,8 @@ def test_a_training_that_is_interrupted_goes_on_with_the_same_bits(
     name, stage, step, tmp_path, monkeypatch
 ):
     _, whole = train_tiny(name, tmp_path / "whole")
-    script, settings = (train_calc, CALC) if name == "calc" else (train_netvlad, NETVLAD)
-    job = Job(tmp_path / "cut" / f"{name}.safetensors", progress=False)
+    module, settings = (calc, CALC) if name == "calc" else (netvlad, NETVLAD)
+    given = Job(tmp_path / "cut" / f"{name}.safetensors", progress=False)
     made = []
 
     class Interrupted(Training):
@@ -183,30 +180,30 @@ def test_a_training_that_is_interrupted_goes_on_with_the_same_bits(
             return super()._step(loss_of, number)
 
     with monkeypatch.context() as patch:
-        patch.setattr(script, "Training", Interrupted)
+        patch.setattr(module, "Training", Interrupted)
         with pytest.raises(KeyboardInterrupt):
-            script.train(job, settings)
-    assert not job.out.exists()
-    script.train(replace(job, resume=True), settings)
-    assert job.out.read_bytes() == whole
+            module.train(given, settings)
+    assert not given.out.exists()
+    module.train(replace(given, resume=True), settings)
+    assert given.out.read_bytes() == whole
 
 
 @pytest.mark.usefixtures("without_rendering")
 def test_other_settings_and_damaged_checkpoints_are_refused(tmp_path):
-    job = Job(tmp_path / "calc.safetensors", resume=True, progress=False)
+    given = Job(tmp_path / "calc.safetensors", resume=True, progress=False)
     with pytest.raises(FileNotFoundError, match="nothing to resume; leave out --resume"):
-        train_calc.train(job, CALC)
+        calc.train(given, CALC)
     interrupt_at_once = pytest.MonkeyPatch()
     with interrupt_at_once.context() as patch:
         patch.setattr(Training, "_step", interrupting(Training._step))
         with pytest.raises(KeyboardInterrupt):
-            train_calc.train(replace(job, resume=False), CALC)
+            calc.train(replace(given, resume=False), CALC)
     with pytest.raises(ValueError, match=r"rate is 0\.5, but .* was made with 0\.002"):
-        train_calc.train(job, replace(CALC, rate=0.5))
-    checkpoint = job.checkpoint("training")
+        calc.train(given, replace(CALC, rate=0.5))
+    checkpoint = given.checkpoint("training")
     checkpoint.write_bytes(checkpoint.read_bytes()[:1000])
     with pytest.raises(ValueError, match="is damaged"):
-        train_calc.train(job, CALC)
+        calc.train(given, CALC)
 
 
 def interrupting(step):
@@ -217,31 +214,41 @@ def interrupting(step):
     return interrupted
 
 
-@pytest.mark.parametrize("script", [train_calc, train_netvlad])
-@pytest.mark.parametrize("wrong", [["--out", "x.pth"], ["--out", "x.safetensors", "--seed", "-1"]])
-def test_a_wrong_name_or_seed_is_one_line_and_status_2(script, wrong, capsys, monkeypatch):
+@pytest.fixture
+def script(monkeypatch):
+    """Imports the script of a technique's training, as its folder's scripts find each other."""
     monkeypatch.setattr("warnings.formatwarning", warnings.formatwarning)  # run() replaces it
+    monkeypatch.syspath_prepend(SCRIPTS)
+    return lambda name: importlib.import_module(f"train_{name}")
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("wrong", [["--out", "x.pth"], ["--out", "x.safetensors", "--seed", "-1"]])
+def test_a_wrong_name_or_seed_is_one_line_and_status_2(name, wrong, script, capsys):
+    module = script(name)
     with pytest.raises(SystemExit) as end:
-        script.run(lambda: script.main(wrong))
+        module.run(lambda: module.main(wrong))
     told = capsys.readouterr()
     assert (end.value.code, told.out) == (2, "")
     assert told.err.count("\n") == 1
     assert wrong[-1] in told.err
 
 
-@pytest.mark.parametrize(("script", "name"), [(train_calc, "calc"), (train_netvlad, "netvlad")])
+@pytest.mark.parametrize("name", NAMES)
 def test_a_command_trains_from_its_arguments_on_one_thread_and_says_where_the_weights_are(
-    script, name, tmp_path, capsys, monkeypatch
+    name, script, tmp_path, capsys, monkeypatch
 ):
     seen = []
     before = get_num_threads()
     set_num_threads(2)
-    monkeypatch.setattr(script, "train", lambda *given: seen.append((given, get_num_threads())))
+    module = MODULES[name]
+    monkeypatch.setattr(module, "train", lambda *given: seen.append((given, get_num_threads())))
     out, images = tmp_path / "mine.safetensors", tmp_path / "images"
-    script.main([*map(str, ("--out", out, "--seed", 3, "--resume", "--images", images))])
+    words = ("--out", out, "--seed", 3, "--resume", "--images", images)
+    script(name).main([str(word) for word in words])
     set_num_threads(before)
-    ((job, settings), threads), *more = seen
-    assert (job, settings) == (Job(out, resume=True, images=images), script.Settings(seed=3))
+    ((given, threads), *more) = seen
+    assert given == (Job(out, resume=True, images=images), module.Settings(seed=3))
     assert (threads, more) == (1, [])
     told = capsys.readouterr().out
     assert told == f"The weights are in {out}; use them with --weights {name}={out}\n"
@@ -258,14 +265,14 @@ def test_a_pool_is_rendered_kept_and_taken_only_by_the_same_renderer(tmp_path, m
         drawn.append(condition)
         return np.full((size[1], size[0], 3), len(drawn), np.uint8)
 
-    monkeypatch.setattr("_training_images.render", render)
+    monkeypatch.setattr(pools, "render", render)
     first = make_pool(size, 0, keep, progress=False)
     assert first.images.shape == (1, 2, DRIVES, SIGHTS, 120, 160, 3)
     assert len(drawn) == 2 * DRIVES * SIGHTS
     again = make_pool(size, 0, keep, progress=False)
     assert len(drawn) == 2 * DRIVES * SIGHTS  # nothing more
     assert np.array_equal(again.images, first.images)
-    monkeypatch.setattr("_training_images.renderer_digest", lambda: "another")
+    monkeypatch.setattr(pools, "renderer_digest", lambda: "another")
     make_pool(size, 0, keep, progress=False)
     assert len(drawn) == 4 * DRIVES * SIGHTS
 
@@ -277,7 +284,7 @@ def test_two_pictures_of_one_pose_are_related_by_the_map_between_them():
     found = 0
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        (left, right), move = train_netvlad.two_pictures(image, image, rng)
+        (left, right), move = netvlad.two_pictures(image, image, rng)
         here, there = (brightest(picture) for picture in (left, right))
         if here is None or there is None:
             continue  # the spot is outside, covered, or too dark

@@ -28,9 +28,9 @@ from amusic_agents.selector import load_selector
 from amusic_agents.training import train
 from env_cases import random_bank
 from safetensors.torch import load_file, save_file
-from small_training import SCRIPTS, SMALL, train_script
+from small_training import SMALL, train_script
 
-from amusic_gym.estimation.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
+from amusic_gym.envs.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation.rollout import rollout
 
@@ -61,21 +61,15 @@ def copy(trained, tmp_path) -> Path:
 
 
 @pytest.fixture
-def command(monkeypatch, capsys):
+def command(monkeypatch, amusic):
     """Runs the command in this process; its exit status and the lines on stderr."""
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    import _cli
-    import train as script
-
     monkeypatch.setattr(
         "amusic_agents.config.TrainingConfig", lambda **v: TrainingConfig(**SMALL | v)
     )
-    monkeypatch.setattr(sys, "argv", ["train.py"])
 
     def call(*arguments: object) -> tuple[int, list[str]]:
-        with pytest.raises(SystemExit) as ended:
-            _cli.run(lambda: script.main([str(argument) for argument in arguments]))
-        return int(ended.value.code), capsys.readouterr().err.strip().splitlines()
+        status, _, err = amusic("train", *arguments)
+        return status, err.strip().splitlines()
 
     return call
 

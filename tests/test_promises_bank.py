@@ -443,7 +443,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))  # scores.npy needs 
 try:
     bank.save(sys.argv[1])
 except OSError as error:
-    print(error)
+    print(error.strerror)
 """
 
 

@@ -23,7 +23,7 @@ from extraction_cases import Signalling, Tiny, TwoSided, make_images
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.extraction import BLOCK, Cache, code, describe_map, extract
 from amusic_gym.extraction.blocks import Images
-from amusic_gym.extraction.describe import Plan
+from amusic_gym.extraction.describe import ExtractionPlan
 from amusic_gym.routes.folders import ImageFolder
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -106,7 +106,7 @@ def test_23_a_damaged_cache_is_rebuilt_and_says_so(folder, serial, tmp_path, dam
 def keys(technique, digest="digest") -> set[str]:
     """Of everything that the cache may hold for one image."""
     images = Images((Path("image.png"),), (digest,))
-    plan = Plan.of(technique, images, images)
+    plan = ExtractionPlan(technique, images, images)
     return {
         plan.descriptor_key(images, query=False),
         plan.descriptor_key(images, query=True),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import json
 import os
@@ -31,6 +32,7 @@ from test_imitation import Quick
 from test_imitation import small as small_ppo
 from test_policy_iteration import small as small_rollouts
 
+from amusic_gym.cli.parser import destination
 from amusic_gym.evaluation import plots
 from amusic_gym.evaluation.comparison import compare, draw
 from amusic_gym.evaluation.study.cells import MEASURED
@@ -292,9 +294,6 @@ def test_51_nothing_but_the_bank_is_written_to_a_bank_s_folder(tmp_path, monkeyp
     bank = random_bank(1, queries=12)
     folder = bank.save(tmp_path / "m")
     before = files(folder)
-    monkeypatch.syspath_prepend(SCRIPTS)
-    import _cli
-
     for out in (folder, folder / "sub" / "x"):
         for write in (
             lambda out=out: compare([bank], Lineup("music"), out, report=len),
@@ -303,8 +302,8 @@ def test_51_nothing_but_the_bank_is_written_to_a_bank_s_folder(tmp_path, monkeyp
         ):
             with pytest.raises(ValueError, match=r"in the folder of a score bank \(.*give another"):
                 write()
-        with pytest.raises(_cli.argparse.ArgumentTypeError, match="in the folder of a score bank"):
-            _cli.destination(str(out))
+        with pytest.raises(argparse.ArgumentTypeError, match="in the folder of a score bank"):
+            destination(str(out))
     assert files(folder) == before
     bank.save(folder)
 

@@ -24,7 +24,7 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.estimation.settings import STATISTICS
-from amusic_gym.estimation.sic import SIC
+from amusic_gym.estimation.sic.correction import SIC
 from amusic_gym.policies.protocol import Context
 
 # ---- 6 -----------------------------------------------------------------------------------

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import pty
+import re
 import signal
 import subprocess
 import sys
@@ -20,20 +20,15 @@ from live_cases import TOLERANCE, Columns, live_of, map_of, maps_of, traverse
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.ground_truth import LARGEST_TOLERANCE
+from amusic_gym.cli import COMMANDS, status
+from amusic_gym.cli.parser import Parser, by_technique, numbers
 from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.envs.window import Window
 from amusic_gym.live.navigation import navigate
 from amusic_gym.routes.video import Camera, VideoWriter
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
-
-
-@pytest.fixture
-def cli(monkeypatch):
-    """The module that all scripts share."""
-    monkeypatch.syspath_prepend(SCRIPTS)
-    monkeypatch.setattr(sys, "argv", ["script.py"])
-    return importlib.import_module("_cli")
+SCRIPT_NAMES = sorted(path.name for path in SCRIPTS.glob("[!_]*.py"))
 
 
 @pytest.fixture
@@ -50,17 +45,13 @@ def world(tmp_path) -> Path:
 
 
 @pytest.fixture
-def drive(cli, world, monkeypatch, capsys):
+def drive(world, monkeypatch, amusic):
     """Runs navigate.py in the world's folder; gives its exit status, stdout and stderr."""
-    monkeypatch.setattr(sys, "argv", ["navigate.py"])
     monkeypatch.chdir(world)
-    script = importlib.import_module("navigate")
 
     def run(*more: str) -> tuple[int, str, str]:
         words = "--reference map --query run.avi --policy subset:HOG --techniques hog --cache cache"
-        with pytest.raises(SystemExit) as ended:
-            cli.run(lambda: script.main([*words.split(), "--seconds", "HOG=0.01", *more]))
-        return ended.value.code, *capsys.readouterr()
+        return amusic("navigate", *words.split(), "--seconds", "HOG=0.01", *more)
 
     return run
 
@@ -140,34 +131,34 @@ def test_more_frames_than_can_be_counted_are_all_of_them(drive):
     assert out.strip().startswith("3 frames, ")
 
 
-def test_an_empty_word_is_refused_behind_a_command_too(cli, capsys):
-    parser = cli.Parser(prog="x")
+def test_an_empty_word_is_refused_behind_a_command_too(capsys):
+    parser = Parser(prog="x")
     command = parser.add_subparsers(dest="command").add_parser("go")
     command.add_argument("--out", type=Path)
     command.add_argument("--seconds", nargs="+")
     for words in (["go", "--out", ""], ["go", "--out="]):
         with pytest.raises(SystemExit):
             parser.parse_args(words)
-        assert capsys.readouterr().err.startswith("x: --out is empty; give a value")
+        assert capsys.readouterr().err.startswith("x go: --out is empty; give a value")
     given = parser.parse_args(["go", "--out", "a=", "--seconds", "HOG="])
     assert (given.out, given.seconds) == (Path("a="), ["HOG="])  # not empty
 
 
-def test_values_by_technique_are_found_in_any_case_and_without_a_class_s_module(cli):
+def test_values_by_technique_are_found_in_any_case_and_without_a_class_s_module():
     names = ["HOG", "own.module:Mine", "hog2"]
-    given = {"hog": "1", "MINE": "2", "Hog2": "3", "hgo": "4", "module": "5"}
-    matched, unknown = cli.by_technique(given, names)
-    assert matched == {"HOG": "1", "own.module:Mine": "2", "hog2": "3"}
-    assert unknown == ["hgo", "module"]
-    assert cli.by_technique({"OWN.module:mine": "6"}, names) == ({"own.module:Mine": "6"}, [])
-    assert cli.by_technique({}, names) == ({}, [])
-    assert cli.by_technique({"HOG": "1"}, []) == ({}, ["HOG"])
+    given = ["hog=1", "MINE=2", "Hog2=3"]
+    assert by_technique(given, names, "--x") == {"HOG": "1", "own.module:Mine": "2", "hog2": "3"}
+    assert by_technique(["OWN.module:mine=6"], names, "--x") == {"own.module:Mine": "6"}
+    assert by_technique([], names, "--x") == {}
+    for wrong, near in (("hgo=4", "did you mean 'HOG'"), ("module=5", "valid: HOG, own.module")):
+        with pytest.raises(ValueError, match=rf"^--x: unknown technique '.*{near}"):
+            by_technique([wrong], names, "--x")
 
 
-def test_a_number_is_refused_by_the_name_it_was_given_for(cli):
-    assert cli.number("--seconds HOG", "2.5e-1") == 0.25
+def test_a_number_is_refused_by_the_name_it_was_given_for():
+    assert numbers({"HOG": "2.5e-1"}, "--seconds") == {"HOG": 0.25}
     with pytest.raises(ValueError, match="^--seconds HOG=soon: 'soon' is not a number$"):
-        cli.number("--seconds HOG", "soon")
+        numbers({"HOG": "soon"}, "--seconds")
 
 
 def test_a_tolerance_that_cannot_be_counted_is_refused_by_banks_and_live_routes():
@@ -305,12 +296,13 @@ def test_a_full_disk_is_one_line():
     assert ended.returncode == 2
 
 
-def test_too_little_memory_is_one_line(cli, capsys):
+def test_too_little_memory_is_one_line(monkeypatch, capsys):
     def main() -> None:
         np.zeros(2**50)
 
+    monkeypatch.setattr(sys, "argv", ["script.py"])
     with pytest.raises(SystemExit) as ended:
-        cli.run(main)
+        status.run(main)
     assert ended.value.code == 2
     told = capsys.readouterr().err
     assert told.startswith("script.py: not enough memory; ask for less. Unable to allocate")
@@ -326,26 +318,21 @@ def test_ctrl_c_while_modules_are_imported_ends_well():
     assert ended.returncode == 130
 
 
-@pytest.mark.parametrize("name", ["bank", "navigate", "train", "compare", "demo"])
+@pytest.mark.parametrize("name", COMMANDS)
 def test_scripts_import_first_what_makes_ctrl_c_end_well(name):
-    """Nothing but the standard library is imported before."""
     text = (SCRIPTS / f"{name}.py").read_text(encoding="utf-8")
-    imported = [
-        line.split()[1] for line in text.splitlines() if line.startswith(("from ", "import "))
-    ]
-    first = next(m for m in imported if m.partition(".")[0] not in {*sys.stdlib_module_names})
-    if first == "_bank_images":
-        assert "\nfrom _cli import" in (SCRIPTS / "_bank_images.py").read_text(encoding="utf-8")
-    else:
-        assert first == "_cli"
+    assert re.findall(r"^(?:from|import) (\w+)", text, re.MULTILINE) == ["_cli"]
 
 
 # ---- 52 ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in SCRIPTS.glob("[!_]*.py")))
+@pytest.mark.parametrize("name", SCRIPT_NAMES)
 def test_52_every_script_takes_its_signals_in_one_place(name):
-    assert "\n    run(main)\n" in (SCRIPTS / name).read_text(encoding="utf-8")
+    end = (SCRIPTS / name).read_text(encoding="utf-8").splitlines()[-1]
+    stem = name.removesuffix(".py")
+    assert end in ("    run(main)", f'    door("{stem}")')
+    assert (stem in COMMANDS) == (end != "    run(main)")
 
 
 STOPPING = """
@@ -403,8 +390,8 @@ def test_52_a_terminal_that_hangs_up_costs_nothing_that_was_finished(tmp_path):
     assert kept.exists()
 
 
-def test_52_handlers_are_as_before_when_a_script_has_ended(cli):
-    before = [signal.getsignal(number) for number in cli.STOPS]
+def test_52_handlers_are_as_before_when_a_script_has_ended():
+    before = [signal.getsignal(number) for number in status.STOPS]
     with pytest.raises(SystemExit):
-        cli.run(lambda: 0)
-    assert [signal.getsignal(number) for number in cli.STOPS] == before
+        status.run(lambda: 0)
+    assert [signal.getsignal(number) for number in status.STOPS] == before

@@ -11,17 +11,18 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
+from env_cases import random_bank
 
 ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"
+COMMANDS = ROOT / "docs" / "commands.md"
 PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
 
-# The README trains for a minute and drives ten routes; this shows only that it runs.
-TINY = {
-    "timesteps=300_000": "timesteps=64, n_envs=4, n_steps=8, pool=2, held_out=1",
-    "range(10)": "range(2)",
-}
+# The README trains for a minute; this shows only that it runs.
+TINY = {"timesteps=300_000": "timesteps=64, n_envs=4, n_steps=8, pool=2, held_out=1"}
 
 
 def commands(text: str) -> list[str]:
@@ -77,11 +78,11 @@ def check_make(words: list[str]) -> None:
             check_script(["scripts/demo.py", *shlex.split(value)])
 
 
-def test_the_readme_names_the_two_commands_and_every_script() -> None:
+def test_the_pages_name_the_two_commands_and_every_script() -> None:
     named = tasks()
     assert {"make demo", "make test"} <= set(named)
     scripts = {path.name for path in (ROOT / "scripts").glob("[!_]*.py")}
-    assert scripts <= set(re.findall(r"scripts/(\w+\.py)", README.read_text("utf-8")))
+    assert scripts <= set(re.findall(r"scripts/(\w+\.py)", COMMANDS.read_text("utf-8")))
 
 
 @pytest.mark.parametrize("command", tasks(), ids=lambda command: command[:60])
@@ -124,27 +125,53 @@ def test_commands_are_found_in_blocks_and_in_sentences() -> None:
     ]
 
 
-@pytest.mark.filterwarnings("ignore:.*has no correct match")  # after 64 frames of training
-def test_the_python_of_the_readme_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    blocks = re.findall(r"^```python\n(.*?)^```", README.read_text("utf-8"), re.M | re.S)
-    assert len(blocks) == 1
-    code = blocks[0]
+def blocks() -> list[str]:
+    """The Python of the README: of whoever trains, studies, and drives."""
+    found = re.findall(r"^```python\n(.*?)^```", README.read_text("utf-8"), re.M | re.S)
+    assert len(found) == 3
+    return found
+
+
+def test_the_readme_trains_as_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = blocks()[0]
     for long, short in TINY.items():
         assert code.count(long) == 1, f"the README no longer says {long}; say here what it says"
         code = code.replace(long, short)
     monkeypatch.chdir(tmp_path)
-    values: dict[str, object] = {}
+    values: dict[str, Any] = {}
     exec(compile(code, "README.md", "exec"), values)
     assert (tmp_path / "runs" / "first" / "selector.safetensors").is_file()
-    info = values["info"]
-    assert isinstance(info, dict)
-    assert info["ran"].tolist() == [True, False, False, False]
-    line = r"^{}: AUC [01]\.\d{{3}} at \d+% compute$"
-    printed = capsys.readouterr().out
-    for name in ("learned", "A-MuSIC"):
-        assert re.search(line.format(name), printed, re.MULTILINE)
+    assert values["info"]["ran"].tolist() == [True, False, False, False]
+
+
+@pytest.mark.filterwarnings("ignore:.*has no correct match")
+def test_the_readme_studies_as_it_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    random_bank(1, names=("HOG", "CALC", "CoHOG")).save(tmp_path / "banks" / "night")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(blocks()[1], "README.md", "exec"), {})
+    lines = capsys.readouterr().out.splitlines()
+    line = r"{}: AUC [01]\.\d{{3}} \([01]\.\d{{3}}\), compute \d+%"
+    for name, said in zip(("raw:HOG", "single:HOG", "music", "amusic"), lines, strict=False):
+        assert re.fullmatch(line.format(name), said)
+    assert len(lines) == 5
+
+
+def test_the_readme_drives_as_it_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed, name in enumerate(("reference", "winter+night")):
+        folder = tmp_path / "images" / name
+        folder.mkdir(parents=True)
+        for number in range(3):
+            image = np.random.default_rng([seed, number]).integers(0, 256, (64, 64, 3))
+            assert cv2.imwrite(str(folder / f"{number}.png"), image.astype(np.uint8))
+    monkeypatch.chdir(tmp_path)
+    exec(compile(blocks()[2], "README.md", "exec"), {})
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 3
+    assert all(re.fullmatch(r"[0-2] [01]\.\d\d( HOG)?( CoHOG)?", line) for line in lines)
 
 
 def test_stable_baselines_learns_many_times_as_the_readme_says() -> None:
@@ -152,7 +179,7 @@ def test_stable_baselines_learns_many_times_as_the_readme_says() -> None:
     from stable_baselines3 import A2C, DQN, SAC, TD3
 
     code = r"^    from amusic_agents\.adapter.*?\.learn\(.*?\)$"
-    found = re.search(code, README.read_text("utf-8"), re.M | re.S)
+    found = re.search(code, COMMANDS.read_text("utf-8"), re.M | re.S)
     assert found
     code = textwrap.dedent(found[0])
     size = {name: int(re.search(rf"{name}=(\d+)", code)[1]) for name in ("num_envs", "n_steps")}  # type: ignore[index]

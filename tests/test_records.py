@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from amusic_gym.estimation.records import KEPT, RESULT, Outcome, OutcomeShape
+from amusic_gym.envs.outcome import KEPT, Outcome, OutcomeShape, RouteResult
 
 
 def filled(shape: OutcomeShape, seed: int) -> Outcome:
@@ -48,7 +48,7 @@ def test_first_gives_the_record_as_numbers():
     out.routes["confidence"], out.routes["frame"] = -0.25, 2**40
     assert out.first() == out.routes[0].item()
     assert [type(value) for value in out.first()] == [type(v) for v in out.routes[0].item()]
-    assert len(out.first()) == len(RESULT.names)
+    assert len(out.first()) == len(RouteResult.dtype.names)
 
 
 @pytest.mark.parametrize("mask", [[True, False, True], [False] * 3, [True] * 3])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import tracemalloc
 from fractions import Fraction
 from pathlib import Path
@@ -384,22 +383,12 @@ def test_scores_that_nothing_can_use_are_not_written_again(tmp_path):
 
 
 @pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
+def run(monkeypatch, amusic, tmp_path):
     """`bank.py retime` in a folder of its own: exit status, stdout and stderr."""
     monkeypatch.syspath_prepend(str(SCRIPTS))
     monkeypatch.chdir(tmp_path)
     random_bank(3).save("hall")
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        import _cli
-        import bank as script
-
-        monkeypatch.setattr(sys, "argv", ["bank.py", "retime", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            _cli.run(script.main)
-        return ended.value.code or 0, *capsys.readouterr()
-
-    return run
+    return lambda *words: amusic("bank", "retime", *words)
 
 
 @pytest.mark.parametrize("words", [[], ["--motion", "kidnapped"], ["--motion", "paced"]])

@@ -20,9 +20,9 @@ from test_rollout import assert_same
 from test_study import learned, plan_of
 
 from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.observation import TECHNIQUE_FEATURES, observation_size
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
-from amusic_gym.estimation.dynamics import IDLE_DECAY
-from amusic_gym.estimation.observation import TECHNIQUE_FEATURES, observation_size
+from amusic_gym.estimation.prediction import IDLE_DECAY
 from amusic_gym.evaluation import study
 from amusic_gym.evaluation.comparison import compare
 from amusic_gym.evaluation.contestants import contestants

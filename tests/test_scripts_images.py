@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -39,21 +40,9 @@ def folders(tmp_path_factory):
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
+def run(amusic):
     """`bank.py images` in this process: exit status, stdout and stderr."""
-    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        import _cli
-        import bank
-
-        monkeypatch.setattr(sys, "argv", ["bank.py", *map(str, arguments)])
-        with pytest.raises(SystemExit) as exit_:
-            _cli.run(bank.main)
-        out, err = capsys.readouterr()
-        return exit_.value.code or 0, out, err
-
-    return run
+    return partial(amusic, "bank")
 
 
 @pytest.fixture

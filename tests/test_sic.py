@@ -13,9 +13,10 @@ from selection_cases import CLOSE, as_arguments, as_settings, assert_details, as
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.env import TechniqueSelectionEnv
-from amusic_gym.estimation import sic as kernels
 from amusic_gym.estimation.settings import SICSettings
-from amusic_gym.estimation.sic import SIC, SLACK
+from amusic_gym.estimation.sic import state as kernels
+from amusic_gym.estimation.sic.correction import SIC
+from amusic_gym.estimation.sic.state import SLACK
 
 PLAIN = {"carry": False, "discount": False}
 NOWHERE = np.full(60, -1)
@@ -189,7 +190,7 @@ def test_rows_that_wait_carry_and_discount_alike(monkeypatch, carry, history):
         chosen = SICSettings("evidence", 5, history, carry=carry)
         env = TechniqueSelectionEnv(bank, **vars(chosen), reselection=4, allow_idle=True)
         infos = infos_of(env, actions)
-        assert env.task.episodes.state.marks["depth"].all()
+        assert env.task.episodes.estimator.state.marks["depth"].all()
         expected = follow(bank, actions, chosen, block=4, idle=True)
         assert_route(infos, expected, bank.seconds)
         assert_details(infos, expected, bank.tolerance, "evidence")

@@ -15,9 +15,9 @@ from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.policies.protocol import Context
 from amusic_gym.routes.descriptors import BLOCK, smooth, write_scores
 from amusic_gym.routes.motion import MOTIONS
+from amusic_gym.routes.route_model import RouteModel, decoys, no_repeats, repeated_places
 from amusic_gym.routes.simulate import Simulation, planted, simulate
 from amusic_gym.routes.statistics import MEASURES, describe
-from amusic_gym.routes.world import World, decoys, no_repeats, repeated_places
 
 # Everything that could blur what a test looks at, off.
 PLAIN = Simulation(
@@ -417,7 +417,7 @@ def test_hubs_and_voids_show_in_the_columns() -> None:
 def test_a_condition_shifts_whole_rows_and_columns() -> None:
     queries, references = 400, 300
     place = np.arange(queries) % references * 1.0
-    world = World(
+    world = RouteModel(
         place=place,
         seen=place,
         condition=np.repeat([0, 1], queries // 2),
@@ -429,7 +429,7 @@ def test_a_condition_shifts_whole_rows_and_columns() -> None:
     rows, columns = {}, {}
     for shift, lasting in ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)):
         ranges = Simulation(shift=(shift, shift), lasting=(lasting, lasting))
-        look = ranges._look(np.random.default_rng(0))
+        look = ranges._technique_model(np.random.default_rng(0))
         apart = []
         for seed in range(8):
             write_scores(np.random.default_rng(seed), world, look, 0, scores)

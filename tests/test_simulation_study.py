@@ -11,7 +11,7 @@ from amusic_baselines import make_policy
 from env_cases import random_bank
 
 from amusic_gym.estimation.settings import STATISTICS, SICSettings
-from amusic_gym.estimation.sic import SIC
+from amusic_gym.estimation.sic.correction import SIC
 from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.policies.protocol import Context
 

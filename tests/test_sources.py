@@ -13,8 +13,8 @@ from stable_baselines3.common.env_util import make_vec_env
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.envs.observation import TECHNIQUE_FEATURES, observation_names
 from amusic_gym.envs.sources import Banks, RouteSource, SimulatedRoutes
-from amusic_gym.estimation.observation import TECHNIQUE_FEATURES, observation_names
 from amusic_gym.routes.simulate import POPULATION, TOURS
 
 # ---- several banks -----------------------------------------------------------------------

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import pickle
-import sys
 from pathlib import Path
 
 import cv2
@@ -16,7 +15,7 @@ from hypothesis import strategies as st
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.extraction import BLOCK, describe_map, extract
-from amusic_gym.extraction.describe import Plan, images_of
+from amusic_gym.extraction.describe import ExtractionPlan, images_of
 from amusic_gym.routes import folders as folders_module
 from amusic_gym.routes.conditions import CONDITIONS, Change, Condition
 from amusic_gym.routes.folders import ImageFolder
@@ -182,7 +181,7 @@ def test_the_cache_tells_conditions_strengths_seeds_and_frames_apart(parts):
     ):
         change = Change(Condition.parse(text), seed, frame)
         images = images_of(folder.under([change] * len(folder)))
-        plan = Plan.of(Tiny(), images, images)
+        plan = ExtractionPlan(Tiny(), images, images)
         keys |= {plan.descriptor_key(block, query=True) for block in plan.queries}
         keys.add(plan.score_key(plan.queries[0], images_of(folder)))
     assert len(keys) == 7 * 3  # two blocks, and scores
@@ -284,24 +283,14 @@ def test_images_are_written_whole_or_not_at_all_and_replace_a_tour_only(parts, t
 
 
 @pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
+def run(monkeypatch, amusic, tmp_path):
     """`bank.py tour` in a folder of its own: exit status, stdout and stderr."""
     monkeypatch.syspath_prepend(str(SCRIPTS))
     monkeypatch.chdir(tmp_path)
     for name, seed in (("a", 0), ("b", 1), ("c", 2), ("d", 3)):
         make_images(Path(name), 30, seed=seed)
     make_images(Path("e"), 29)
-
-    def run(words: str) -> tuple[int, str, str]:
-        import _cli
-        import bank as script
-
-        monkeypatch.setattr(sys, "argv", ["bank.py", "tour", *words.split()])
-        with pytest.raises(SystemExit) as ended:
-            _cli.run(script.main)
-        return ended.value.code or 0, *capsys.readouterr()
-
-    return run
+    return lambda words: amusic("bank", "tour", *words.split())
 
 
 TWO = "--part a:b c:d --techniques extraction_cases:Tiny --cache cache"

@@ -17,12 +17,12 @@ from amusic_agents.selector import load_selector
 from amusic_agents.shipped import PRETRAINED, shipped
 from small_training import SCRIPTS, SMALL
 
+from amusic_gym.cli import status, teacher
+
 if str(SCRIPTS) not in sys.path:
     sys.path.insert(0, str(SCRIPTS))  # the training, as the scripts find each other
 
-import _cli  # noqa: E402  (found by the lines above)
-import _train_teacher  # noqa: E402
-import train_default  # noqa: E402
+import train_default  # noqa: E402  (found by the lines above)
 
 TINY = {
     **SMALL,
@@ -60,7 +60,7 @@ def command(tmp_path_factory):
             "amusic_agents.config.TrainingConfig", lambda **v: TrainingConfig(**{**v, **TINY})
         )
         patch.setitem(train_default.learn.__kwdefaults__, "routes", 1)
-        patch.setitem(train_default.learn.__kwdefaults__, "grid", _train_teacher.GRID[:3])
+        patch.setitem(train_default.learn.__kwdefaults__, "grid", teacher.GRID[:3])
 
         def call(out: Path, folder: Path, *more: object) -> None:
             patch.setattr(train_default, "shipped", lambda statistic, allow_idle: folder)
@@ -125,8 +125,8 @@ def test_for_belief_a_teacher_is_chosen_imitated_and_surpassed(belief):
     assert stored["best"]["timesteps"] <= STEPS
     assert str(belief.out) not in (belief.shipped / CONFIG).read_text("utf-8")  # no machine's path
     load_selector(belief.shipped)
-    chosen = json.loads((belief.out / IMITATION / _train_teacher.FILE).read_text("utf-8"))
-    assert len(chosen) == _train_teacher.PARTS
+    chosen = json.loads((belief.out / IMITATION / teacher.FILE).read_text("utf-8"))
+    assert len(chosen) == teacher.PARTS
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(
@@ -169,7 +169,7 @@ def test_a_finished_training_is_not_begun_again(
     for name in ("collect", "learn"):
         monkeypatch.setattr(f"amusic_agents.policy_iteration.{name}", None)
     monkeypatch.setattr("amusic_agents.imitation.imitate_then_train", None)
-    monkeypatch.setattr("_train_teacher.make_teacher", None)
+    monkeypatch.setattr("teacher.make_teacher", None)
     command(run.out, run.shipped, "--statistic", statistic)
     assert capsys.readouterr().out.endswith(f"is the selector that ships for {statistic!r}\n")
     assert digests(run.out) == before
@@ -183,7 +183,7 @@ def test_a_worse_selector_does_not_take_the_place_of_a_better_one(
     monkeypatch.setattr(sys, "argv", ["train_default.py"])
     monkeypatch.setattr("warnings.formatwarning", warnings.formatwarning)  # run() replaces it
     with pytest.raises(SystemExit) as ended:
-        _cli.run(lambda: command(trained.out, better, "--ship"))
+        status.run(lambda: command(trained.out, better, "--ship"))
     told = capsys.readouterr()
     assert ended.value.code == 2
     message = told.err.splitlines()[-1]  # after a progress bar

@@ -25,8 +25,8 @@ from stable_baselines3.common.logger import Logger
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs import observation
 from amusic_gym.envs.sources import SimulatedRoutes
-from amusic_gym.estimation import observation
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation.metrics import compute
 from amusic_gym.evaluation.rollout import Job, rollout, rollouts

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import numpy as np
 import pytest
 from amusic_agents.config import TrainingConfig, stored, stored_config
 from amusic_agents.run_folder import write_config
 from amusic_agents.training import simulated_routes
-from small_training import SCRIPTS
 
+from amusic_gym.cli import train
+from amusic_gym.cli.parser import Parser
 from amusic_gym.routes.simulate import POPULATION, TOURS
-
-if str(SCRIPTS) not in sys.path:
-    sys.path.insert(0, str(SCRIPTS))
-
-import train  # noqa: E402  (found by the line above)
 
 
 def test_what_is_turned_off_on_the_command_line_is_in_the_configuration():
@@ -27,7 +22,9 @@ def test_what_is_turned_off_on_the_command_line_is_in_the_configuration():
         (["--no-discount"], {"carry": True, "discount": False}),
         (["--statistic", "belief", "--no-carry"], {"carry": False, "discount": False}),
     ):
-        given = train._parser().parse_args(["--out", "run", *words])
+        parser = Parser()
+        train.add_arguments(parser)
+        given = parser.parse_args(["--out", "run", *words])
         assert train._config(given).environment() == environment
 
 

@@ -240,18 +240,19 @@ class TestCaffemodel:
         assert list(arrays) == ["conv1.weight"]
 
     @pytest.mark.parametrize(
-        ("wrong", "sentence"),
+        "wrong",
         [
-            (b"\xff" * 11, "more than 64 bits"),
-            (b"\xff", "runs past the end"),
-            (cases.varint(100 << 3 | 2) + b"\x05abc", "runs past the end"),
-            (cases.varint(1 << 3 | 3), "kind 3"),
-            (cases.field(0, "x"), "number 0"),
+            b"\xff" * 11,
+            b"\xff",
+            cases.varint(100 << 3 | 2) + b"\x05abc",
+            cases.varint(1 << 3 | 3),
+            cases.field(0, "x"),
         ],
     )
-    def test_what_is_no_protocol_buffer_is_refused(self, wrong, sentence):
-        with pytest.raises(ValueError, match=sentence):
-            read_caffemodel(wrong)
+    def test_what_is_no_protocol_buffer_is_refused(self, wrong, tmp_path):
+        (tmp_path / "w.caffemodel").write_bytes(wrong)
+        with pytest.raises(ValueError, match=r"no whole .caffemodel file \(Error parsing"):
+            read_weights(tmp_path / "w.caffemodel")
 
     def test_a_shape_that_does_not_fit_the_values_is_refused(self, tmp_path):
         blob = cases.field(5, b"\0" * 8) + cases.field(7, cases.field(1, 3))

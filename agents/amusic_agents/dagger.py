@@ -27,8 +27,8 @@ from amusic_agents.run_folder import (
     write_tensors,
 )
 from amusic_agents.selector import TrainedSelector
+from amusic_gym.envs.observation import observation_size
 from amusic_gym.envs.sources import RouteSource
-from amusic_gym.estimation.observation import observation_size
 from amusic_gym.policies.protocol import Selector
 from amusic_gym.utils.escaping import CsvWriter
 from amusic_gym.utils.storage import write_whole

@@ -35,10 +35,10 @@ from amusic_agents.run_folder import CHECKPOINT, check_layers, part, read_tensor
 from amusic_agents.selector import load_selector
 from amusic_agents.subsets import MOST_SLOTS, SubsetNetwork, SubsetSelector, SubsetSizes
 from amusic_agents.training import bank_folders, begun, training_source
+from amusic_gym.envs.observation import observation_size
 from amusic_gym.envs.sources import BankLike, RouteSource
 from amusic_gym.envs.task import Task
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
-from amusic_gym.estimation.observation import observation_size
 from amusic_gym.policies.protocol import Selector
 
 SPELL = (3, 50)
@@ -377,7 +377,7 @@ def collect(
     """
     slots = env.task.slots
     observation, info = env.reset(seed=int(rng.integers(2**31)))
-    idle = env.task.episodes.rules.allow_idle
+    idle = env.task.episodes.allow_idle
     drives = Behaviour(env.num_envs, slots, policy, settings.share, rng, idle)
     parts: list[Samples] = []
     steps = -(-min(PART, settings.states) // env.num_envs) * settings.every

@@ -29,7 +29,7 @@ from torch import nn
 from amusic_agents.learners import KINDS, Kind
 from amusic_agents.learners import kind as kind_of
 from amusic_agents.network import VERSION as NETWORK_VERSION
-from amusic_gym.estimation.observation import VERSION as OBSERVATION_VERSION
+from amusic_gym.envs.observation import VERSION as OBSERVATION_VERSION
 from amusic_gym.estimation.settings import STATISTICS
 from amusic_gym.utils.storage import parse_json, read_json, write_whole
 

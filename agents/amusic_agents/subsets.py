@@ -19,7 +19,7 @@ from torch import nn
 from amusic_agents.learners import Kind
 from amusic_agents.learners.driver import NetworkSelector
 from amusic_agents.network import ROUTE_WIDTH, SetEncoder, SetSizes, presence
-from amusic_gym.estimation.observation import ROUTE_FEATURES
+from amusic_gym.envs.observation import ROUTE_FEATURES
 from amusic_gym.estimation.settings import COMPUTE_WEIGHT_RANGE
 
 WEIGHT = ROUTE_FEATURES.index("compute_weight")

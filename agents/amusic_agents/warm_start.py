@@ -14,7 +14,7 @@ from amusic_agents.learners import learner
 from amusic_agents.learners.ppo import network
 from amusic_agents.network import PRESENT, WIDTH, SelectorNetwork
 from amusic_agents.run_folder import SELECTOR, check_layers, read_config, read_selector
-from amusic_gym.estimation.observation import observation_size
+from amusic_gym.envs.observation import observation_size
 from amusic_gym.estimation.settings import SICSettings
 
 Start = SelectorNetwork | str | Path

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -225,6 +225,63 @@ class ScoreBank:
         return self.path if whole and self.costs == self._given[0] else None
 
     @classmethod
+    def from_rows(
+        cls,
+        rows: Iterable[NDArray[np.float32]],
+        techniques: Sequence[str],
+        seconds: ArrayLike,
+        *,
+        truth: GroundTruth,
+        tolerance: int,
+        name: str,
+        source: str,
+        costs: str = "measured",
+        out: str | os.PathLike[str] | None = None,
+    ) -> ScoreBank:
+        """A bank from its score rows, in memory or written to a folder as they come.
+
+        Args:
+            rows: (n, R) matrices that together are the T · Q rows, technique after technique.
+            techniques: as for the class; so are ``seconds``, ``name``, ``source`` and ``costs``.
+            seconds: (T,).
+            truth: of Q queries on R places.
+            tolerance: places.
+            name: of the bank.
+            source: where the scores come from.
+            costs: cost model of the seconds.
+            out: the folder to write; None: the bank stays in memory.
+
+        Raises:
+            ValueError: as for the class; when ``out`` is something other than a bank.
+            OSError: when the folder cannot be written; what was there is still there then.
+        """
+        names = check_names(techniques)
+        checked = check_seconds(seconds, names)
+        if out is None:
+            shape = len(names), truth.queries, truth.references
+            return cls(
+                np.concatenate(list(rows)).reshape(shape),
+                names,
+                checked,
+                tolerance=tolerance,
+                ground_truth=truth,
+                name=name,
+                source=source,
+                costs=costs,
+            )
+        bank_files.write(
+            Path(out),
+            scores=rows,
+            truth=truth,
+            techniques=list(zip(names, checked.tolist(), strict=True)),
+            tolerance=tolerance,
+            name=name,
+            source=source,
+            costs=costs,
+        )
+        return cls.load(out)
+
+    @classmethod
     def load(cls, path: str | os.PathLike[str], *, verify: bool = False) -> ScoreBank:
         """Open a bank's folder; the scores are memory-mapped, not read.
 
@@ -236,24 +293,19 @@ class ScoreBank:
             FileNotFoundError: when the folder or one of its files is missing.
             ValueError: when it is damaged or from a newer format.
         """
-        files = bank_files.read(Path(path), verify=verify)
+        path = Path(os.path.realpath(path))
+        scores, truth, manifest = bank_files.read(path, verify=verify)
         bank = cls.__new__(cls)
         try:
-            names = check_names([name for name, _ in files.techniques], len(files.scores))
-            bank._set(
-                files.scores,
-                names,
-                check_seconds([second for _, second in files.techniques], names),
-                files.tolerance,
-                files.truth,
-                files.name or files.path.name,
-                files.source,
-                files.costs,
-            )
+            names = check_names([each["name"] for each in manifest["techniques"]], len(scores))
+            seconds = check_seconds([each["seconds"] for each in manifest["techniques"]], names)
+            tolerance, source, costs = (manifest[key] for key in ("tolerance", "source", "costs"))
+            name = manifest["name"] or path.name
+            bank._set(scores, names, seconds, tolerance, truth, name, source, costs)
         except ValueError as error:
-            raise ValueError(f"bank {files.path}: {error}") from None
-        bank.path = files.path
-        bank._fingerprint = files.fingerprint
+            raise ValueError(f"bank {path}: {error}") from None
+        bank.path = path
+        bank._fingerprint = manifest["sha256"]
         return bank
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -266,16 +318,18 @@ class ScoreBank:
             ValueError: when ``path`` is something other than a bank.
             OSError: when writing fails; what was at ``path`` is still there then.
         """
-        return bank_files.write(
-            Path(path),
-            scores=[self.stored[stored] for stored in self.index],
+        written = ScoreBank.from_rows(
+            (self.stored[stored] for stored in self.index),
+            self.techniques,
+            self.seconds,
             truth=self.truth,
-            techniques=list(zip(self.techniques, self.seconds.tolist(), strict=True)),
             tolerance=self.tolerance,
             name=self.name,
             source=self.source,
             costs=self.costs,
+            out=path,
         )
+        return written.path or Path(path)
 
     def __copy__(self) -> ScoreBank:
         return self

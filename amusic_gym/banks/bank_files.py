@@ -8,7 +8,6 @@ import math
 import os
 import zipfile
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from io import BufferedReader, BytesIO
 from pathlib import Path
 from typing import Any
@@ -29,33 +28,6 @@ _READ_ATTEMPTS = 20
 _REBUILD = "copy the bank again or build it anew with scripts/bank.py"
 
 
-@dataclass(frozen=True, eq=False)
-class BankFiles:
-    """What a bank's folder holds, checked against itself.
-
-    Attributes:
-        path: the folder, absolute.
-        scores: (T, Q, R) float32, read-only view of the memory-mapped file.
-        truth: Q queries, R references.
-        techniques: T pairs of name and seconds per run.
-        tolerance: places.
-        name: of the bank; may be empty.
-        source: where the scores come from.
-        costs: cost model of the seconds.
-        fingerprint: checksum of ``bank.json``, and by its checksums of the other files.
-    """
-
-    path: Path
-    scores: NDArray[np.float32]
-    truth: GroundTruth
-    techniques: list[tuple[str, float]]
-    tolerance: int
-    name: str
-    source: str
-    costs: str
-    fingerprint: str
-
-
 def write(
     path: Path,
     *,
@@ -66,22 +38,10 @@ def write(
     name: str,
     source: str,
     costs: str,
-) -> Path:
-    """Write a bank's folder at ``path``, whole or not at all.
+) -> None:
+    """Write a bank's folder, whole or not at all; arguments as of `ScoreBank.from_rows`.
 
-    Args:
-        path: the folder to make, or the bank to replace.
-        scores: (rows, R) matrices that together are the T · Q rows, technique after technique;
-            each is written as it comes, so that memory need not hold them all.
-        truth: Q queries, R references.
-        techniques: T pairs of name and seconds.
-        tolerance: places.
-        name: of the bank.
-        source: where the scores come from.
-        costs: cost model of the seconds.
-
-    Returns:
-        The folder's absolute path.
+    Each matrix of ``scores`` is written as it comes, so that memory need not hold them all.
 
     Raises:
         ValueError: when ``path`` is something other than a bank or in one, or rows are missing.
@@ -111,7 +71,6 @@ def write(
         manifest["sha256"] = _checksum(manifest)
         text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
         (folder / MANIFEST).write_text(text, encoding="utf-8")
-    return path
 
 
 def refuse_within_bank(path: Path) -> None:
@@ -142,8 +101,8 @@ def check_destination(path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
 
 
-def read(path: Path, *, verify: bool) -> BankFiles:
-    """Read and check a bank's folder.
+def read(path: Path, *, verify: bool) -> tuple[NDArray[np.float32], GroundTruth, dict[str, Any]]:
+    """Scores (T, Q, R), memory-mapped, ground truth and manifest of a bank, checked to agree.
 
     Args:
         path: the folder.
@@ -153,51 +112,48 @@ def read(path: Path, *, verify: bool) -> BankFiles:
         FileNotFoundError: when the folder or a file in it is missing.
         ValueError: when it is damaged or from a newer format.
     """
-    path = Path(os.path.realpath(path))
     storage.restore_folder(path)
     for _ in range(_READ_ATTEMPTS):
-        with storage.FolderReader(path) as folder:
+        with storage.opened_folder(path) as folder:
             try:
-                return _read_once(folder, verify)
+                return _read_once(path, folder, verify)
             except FileNotFoundError:
-                if not folder.was_replaced():  # else: once more, from the new one
+                if not storage.was_replaced(path, folder):  # else: once more, from the new one
                     raise
     raise ValueError(f"bank {path} is being rewritten all the time; load it when that is over")
 
 
-def _read_once(folder: storage.FolderReader, verify: bool) -> BankFiles:
-    path = folder.path
+def _read_once(
+    path: Path, folder: int, verify: bool
+) -> tuple[NDArray[np.float32], GroundTruth, dict[str, Any]]:
     try:
-        manifest = _parse_manifest(path / MANIFEST, folder.read(MANIFEST, _MOST_MANIFEST))
+        content = storage.read_regular(path / MANIFEST, _MOST_MANIFEST, folder)
     except FileNotFoundError:
         raise FileNotFoundError(
             f"{path} has no {MANIFEST}, so it is not a whole bank; {_REBUILD}"
         ) from None
+    manifest = _parse_manifest(path / MANIFEST, content)
     try:
         checksums = {name: str(manifest["files"][name]["sha256"]) for name in (SCORES, TRUTH)}
-        techniques = [
-            (each["name"], number("seconds", each["seconds"], "a number above 0"))
-            for each in manifest["techniques"]
-        ]
+        for each in manifest["techniques"]:
+            number("seconds", each["seconds"], "a number above 0")
+            each["name"]
         queries, references = (whole(key, manifest[key], 1) for key in ("queries", "references"))
-        tolerance = check_tolerance(manifest["tolerance"])
-        name, source, costs, fingerprint = (
-            str(manifest[key]) for key in ("name", "source", "costs", "sha256")
-        )
+        check_tolerance(manifest["tolerance"])
+        manifest |= {key: str(manifest[key]) for key in ("name", "source", "costs", "sha256")}
+        shape = (len(manifest["techniques"]), queries, references)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(
             f"{path / MANIFEST} lacks an entry or has a wrong one ({error}); {_REBUILD}"
         ) from None
-    shape = (len(techniques), queries, references)
-    with folder.open(SCORES) as file:
+    with storage.open_file(path / SCORES, folder) as file:
         scores = _map_scores(file, path / SCORES, shape)
         if verify:
             _compare(storage.sha256(file), path / SCORES, checksums[SCORES])
     most = 8 * (queries + 2 + queries * references) + _MOST_HEADERS
-    content = folder.read(TRUTH, most)
+    content = storage.read_regular(path / TRUTH, most, folder)
     _compare(hashlib.sha256(content).hexdigest(), path / TRUTH, checksums[TRUTH])
-    truth = _read_truth(content, path / TRUTH, shape)
-    return BankFiles(path, scores, truth, techniques, tolerance, name, source, costs, fingerprint)
+    return scores, _read_truth(content, path / TRUTH, shape), manifest
 
 
 def _parse_manifest(path: Path, content: bytes) -> dict[str, Any]:

@@ -11,7 +11,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.banks import bank_files
 from amusic_gym.banks.bank import ScoreBank, as_float32, check_names, check_rows, check_seconds
 from amusic_gym.banks.ground_truth import GroundTruth, resolve_ground_truth
 from amusic_gym.banks.loop_closure import rows_without_recent, truth_without_recent
@@ -77,22 +76,9 @@ def from_arrays(
     )
     if exclude_recent is not None:
         rows = rows_without_recent(rows, queries, exclude_recent)
-    if out is None:
-        scores = np.concatenate(list(rows)).reshape(len(names), queries, references)
-        return ScoreBank(
-            scores, names, costs, tolerance=places, ground_truth=truth, name=name, source=source
-        )
-    written = bank_files.write(
-        Path(out),
-        scores=rows,
-        truth=truth,
-        techniques=list(zip(names, costs.tolist(), strict=True)),
-        tolerance=places,
-        name=name,
-        source=source,
-        costs="measured",
+    return ScoreBank.from_rows(
+        rows, names, costs, truth=truth, tolerance=places, name=name, source=source, out=out
     )
-    return ScoreBank.load(written)
 
 
 def from_recording(folder: _Path, techniques: Sequence[str] | None = None) -> ScoreBank:
@@ -171,18 +157,17 @@ def from_vprbench(
             ground_truth, queries, references, tolerance=tolerance, trust=trust
         )
     truth, places = resolve_ground_truth(ground_truth, tolerance, queries, references)
-    return ScoreBank(
-        np.stack(
-            [
-                row
-                for t, (rows, _) in zip(names, matches, strict=True)
-                for row in _checked(t, [rows], truth)
-            ]
-        ),
+    rows = (
+        block
+        for technique, (scores, _) in zip(names, matches, strict=True)
+        for block in _checked(technique, [scores], truth)
+    )
+    return ScoreBank.from_rows(
+        rows,
         names,
         [seconds for _, seconds in matches],
+        truth=truth,
         tolerance=places,
-        ground_truth=truth,
         name=name,
         source=source or f"VPR-Bench: {folder.resolve().parent.name}",
     )

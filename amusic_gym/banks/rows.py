@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.kernels.compiling import apart, compiled, inner
-from amusic_gym.kernels.tables import view
+from amusic_gym.kernels.tables import Record, view
 
 if TYPE_CHECKING:
     from amusic_gym.banks.bank import ScoreBank
@@ -20,7 +20,7 @@ MASKED = 2
 """What ``ready`` is for a row with places that are no candidates: their score is −∞."""
 
 PREPARED = ("mean", "scale", "top", "ready", "serial")
-"""What is kept of every row; fields of ``RUN``."""
+"""What is kept of every row; fields of :class:`Run`."""
 
 
 class PreparedRows:
@@ -53,7 +53,7 @@ class PreparedRows:
         self._addresses["scores"] = _addresses(bank.stored)[bank.index]
 
     def point(self, runs: NDArray[Any], columns: NDArray[np.int64]) -> None:
-        """Write to the RUN records (S,) where the rows of techniques lie in memory.
+        """Write to the Run records (S,) where the rows of techniques lie in memory.
 
         Args:
             runs: the records, all but ``start`` and ``entries``.
@@ -70,21 +70,19 @@ def _addresses(array: NDArray[Any]) -> NDArray[np.int64]:
     return array.ctypes.data + array.strides[0] * np.arange(len(array))
 
 
-RUN = np.dtype(
-    [
-        ("scores", np.int64),  # address of the technique's (Q, R) float32 scores
-        ("mean", np.int64),  # addresses of PreparedRows' entries of this technique
-        ("scale", np.int64),
-        ("top", np.int64),
-        ("ready", np.int64),
-        ("serial", np.int64),
-        ("start", np.int64),  # the query that is frame 0
-        ("entries", np.int64),  # live: address of each frame's row number (Q,) int64; 0: in order
-        ("references", np.int64),  # R
-        ("candidates", np.int64),  # K, clipped to R
-    ]
-)
-"""Where one technique's rows lie in memory."""
+class Run(Record):
+    """Where one technique's rows lie in memory: addresses of PreparedRows' entries of it."""
+
+    scores: int  # address of the technique's (Q, R) float32 scores
+    mean: int
+    scale: int
+    top: int
+    ready: int
+    serial: int
+    start: int  # the query that is frame 0
+    entries: int  # live: address of each frame's row number (Q,) int64; 0: in order
+    references: int  # R
+    candidates: int  # K, clipped to R
 
 
 @dataclass
@@ -124,7 +122,7 @@ class RowBuffer:
         self.ready[entry], self.serial[entry] = 0, np.nan
 
     def point(self, run: Any) -> None:
-        """Write the addresses to a RUN record."""
+        """Write the addresses to a Run record."""
         run["scores"] = self.rows.ctypes.data
         for name in PREPARED:
             run[name] = getattr(self, name).ctypes.data
@@ -133,7 +131,7 @@ class RowBuffer:
 
 
 @inner
-def entry_of(run: Any, frame: int) -> int:
+def entry_of(run: Run, frame: int) -> int:
     """Number of a frame's row: a bank's are in order, a live route's where they were put."""
     if run.entries == 0:
         entry: int = run.start + frame
@@ -143,39 +141,39 @@ def entry_of(run: Any, frame: int) -> int:
 
 
 @inner
-def row_at(run: Any, frame: int) -> Any:
+def row_at(run: Run, frame: int) -> Any:
     """Score row (R,) of a frame."""
     size = run.references
     return view(run.scores + entry_of(run, frame) * size * 4, size, np.float32)
 
 
 @inner
-def mean_at(run: Any, frame: int) -> Any:
+def mean_at(run: Run, frame: int) -> Any:
     """Mean of a frame's row."""
     return view(run.mean + entry_of(run, frame) * 8, 1, np.float64)
 
 
 @inner
-def scale_at(run: Any, frame: int) -> Any:
+def scale_at(run: Run, frame: int) -> Any:
     """1/σ of a frame's row."""
     return view(run.scale + entry_of(run, frame) * 8, 1, np.float64)
 
 
 @inner
-def top_at(run: Any, frame: int) -> Any:
+def top_at(run: Run, frame: int) -> Any:
     """Candidates (K,) of a frame, ranked."""
     size = run.candidates
     return view(run.top + entry_of(run, frame) * size * 4, size, np.int32)
 
 
 @inner
-def ready_at(run: Any, frame: int) -> Any:
+def ready_at(run: Run, frame: int) -> Any:
     """Whether the entries of a frame's row are filled."""
     return view(run.ready + entry_of(run, frame), 1, np.uint8)
 
 
 @inner
-def serial_at(run: Any, frame: int) -> Any:
+def serial_at(run: Run, frame: int) -> Any:
     """Correlation of a frame's row with the row before it, NaN where it is not known yet."""
     return view(run.serial + entry_of(run, frame) * 8, 1, np.float64)
 
@@ -187,7 +185,7 @@ def deviation(score: float, mean: float) -> float:
 
 
 @inner
-def is_masked(run: Any, frame: int, place: int) -> bool:
+def is_masked(run: Run, frame: int, place: int) -> bool:
     """Whether a place is no candidate in a prepared row; a row without any is as a constant one."""
     masked = False
     if ready_at(run, frame)[0] == MASKED:
@@ -235,7 +233,7 @@ def rank_candidates(scores: Any, top: Any) -> None:
 
 
 @compiled
-def prepare(run: Any, frame: int) -> bool:
+def prepare(run: Run, frame: int) -> bool:
     """Fill mean, scale and candidates of a frame's row once; False if a score is NaN or +∞."""
     ready = ready_at(run, frame)
     if ready[0]:
@@ -264,7 +262,7 @@ def prepare(run: Any, frame: int) -> bool:
 
 
 @apart
-def masked_correlation(one: Any, past: int, other: Any, frame: int, shift: int) -> float:
+def masked_correlation(one: Run, past: int, other: Run, frame: int, shift: int) -> float:
     """As :func:`correlation`, over the c that are candidates in both rows."""
     before, now = row_at(one, past), row_at(other, frame)
     mean_before, mean_now = mean_at(one, past)[0], mean_at(other, frame)[0]
@@ -278,7 +276,7 @@ def masked_correlation(one: Any, past: int, other: Any, frame: int, shift: int) 
 
 
 @apart
-def correlation(one: Any, past: int, other: Any, frame: int, shift: int) -> float:
+def correlation(one: Run, past: int, other: Run, frame: int, shift: int) -> float:
     """Mean product of the z-scores of a row's place c − shift and another row's place c.
 
     Over all c that both have, 0 where there is none. Both rows must be there and prepared.
@@ -303,7 +301,7 @@ def correlation(one: Any, past: int, other: Any, frame: int, shift: int) -> floa
 
 
 @inner
-def serial_correlation(run: Any, frame: int) -> float:
+def serial_correlation(run: Run, frame: int) -> float:
     """Correlation of a frame's row with the technique's row one frame before, moved on by a place.
 
     It is computed once per row.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 from amusic_gym.envs.infos import Infos
 from amusic_gym.envs.pictures.viewer import viewer_for
 from amusic_gym.envs.registration import Specified
+from amusic_gym.envs.rewards import Reward
+from amusic_gym.envs.sources import BankLike, RouteSource
 from amusic_gym.envs.task import RENDER_FPS, RENDER_MODES, Task, as_seed
+from amusic_gym.estimation.settings import COVERAGE, SICSettings
 
 
 class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.int8]]):
@@ -169,10 +172,53 @@ class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.i
         "render_fps": RENDER_FPS,
     }
 
-    def __init__(self, bank: Any = None, **arguments: Any) -> None:
-        self.task = Task(1, bank, **arguments)
-        self.render_mode = arguments.get("render_mode")
-        self._viewer = viewer_for(self.task.episodes, self.render_mode, RENDER_FPS)
+    def __init__(
+        self,
+        bank: BankLike | Sequence[BankLike] | RouteSource | None = None,
+        *,
+        statistic: str = SICSettings.statistic,
+        candidates: int = SICSettings.candidates,
+        history: int = SICSettings.history,
+        gamma: float = SICSettings.gamma,
+        carry: bool | None = SICSettings.carry,
+        discount: bool | None = SICSettings.discount,
+        compute_weight: float | tuple[float, float] = 1.0,
+        reselection: int | None = None,
+        coverage: float = COVERAGE,
+        allow_idle: bool = False,
+        slots: int | None = None,
+        episode_length: int | None = None,
+        random_start: bool = False,
+        costs: str = "measured",
+        reward: str | Reward = "estimated",
+        threads: int = 1,
+        render_mode: str | None = None,
+        **unknown: Any,
+    ) -> None:
+        self.task = Task(
+            1,
+            bank,
+            statistic=statistic,
+            candidates=candidates,
+            history=history,
+            gamma=gamma,
+            carry=carry,
+            discount=discount,
+            compute_weight=compute_weight,
+            reselection=reselection,
+            coverage=coverage,
+            allow_idle=allow_idle,
+            slots=slots,
+            episode_length=episode_length,
+            random_start=random_start,
+            costs=costs,
+            reward=reward,
+            threads=threads,
+            render_mode=render_mode,
+            unknown=unknown,
+        )
+        self.render_mode = render_mode
+        self._viewer = viewer_for(self.task.episodes, render_mode, RENDER_FPS)
         self.observation_space = self.task.observation_space
         self.action_space = self.task.action_space
         self._action_shape = self.task.action_space.shape

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.estimation.records import RESULT, Outcome
+from amusic_gym.envs.outcome import Outcome, RouteResult
 
 Infos = dict[str, Any]
 Terms = dict[str, NDArray[np.float64]]
 
-_RESULTS = list(RESULT.names or ())
+_RESULTS = list(RouteResult.dtype.names or ())
 ROUTE_INFOS = _RESULTS[: 1 + _RESULTS.index("compute_weight")]
 TECHNIQUE_INFOS = ("ran", "place", "statistic", "correction", "present", "run_seconds")
 SELECTION_INFOS = ("tally", "selected", "late_runs")

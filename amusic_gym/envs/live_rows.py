@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.banks.rows import RowBuffer
-from amusic_gym.estimation.sic import depth_for
+from amusic_gym.estimation.sic.state import depth_for
 
 if TYPE_CHECKING:
     from amusic_gym.envs.live_route import LiveRoute

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from amusic_gym.utils.names import suggest
 
 if TYPE_CHECKING:
-    from amusic_gym.estimation.records import Outcome
+    from amusic_gym.envs.outcome import Outcome
 
 
 class RewardInputs(NamedTuple):
@@ -21,7 +21,7 @@ class RewardInputs(NamedTuple):
 
     Attributes:
         outcome: all that the step gave; ``outcome.routes`` and ``outcome.slots`` are record
-            arrays whose fields :mod:`amusic_gym.estimation.records` lists.
+            arrays whose fields :mod:`amusic_gym.envs.outcome` lists.
         compute_weight: (N,) λ of each route.
         correct: call it for (N,) whether the predictions are true. Ground truth: for study only.
     """

@@ -21,11 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 from amusic_gym.envs.episode import Episodes, Route
 from amusic_gym.envs.infos import Infos, Terms, batch_infos, single_info
 from amusic_gym.envs.live_route import ENDLESS
+from amusic_gym.envs.observation import bounds
+from amusic_gym.envs.outcome import Outcome, RouteResult
 from amusic_gym.envs.rewards import Reward, RewardInputs, as_reward, estimated, trade
 from amusic_gym.envs.sources import BankLike, Recording, RouteSource, as_source, columns_for
-from amusic_gym.estimation.observation import bounds
-from amusic_gym.estimation.records import RESULT, Outcome
-from amusic_gym.estimation.settings import COVERAGE, SICSettings
+from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.utils.checks import flag, number, whole
 from amusic_gym.utils.names import suggest
 
@@ -38,7 +38,7 @@ RENDER_FPS = 10
 """Frames per second of videos, and the most that the window of "human" shows."""
 
 _FRAME, _ENDED, _P_CORRECT, _COMPUTE, _COMPUTE_WEIGHT = (
-    list(RESULT.names or ()).index(name)
+    list(RouteResult.dtype.names or ()).index(name)
     for name in ("frame", "ended", "p_correct", "compute", "compute_weight")
 )
 
@@ -72,8 +72,10 @@ class Task:
             results are the same for any number; more than one pay with many routes.
         render_mode: ``"ansi"`` (a line of text), ``"rgb_array"`` (a picture), ``"rgb_array_list"``
             (pictures of all steps), ``"human"`` (a window, which needs pygame) or None.
+        unknown: arguments that an environment was given besides.
 
     Raises:
+        TypeError: for an unknown argument, with the nearest suggested.
         ValueError: for any argument out of range, with the valid ones.
     """
 
@@ -82,28 +84,29 @@ class Task:
         num_routes: int,
         bank: BankLike | Sequence[BankLike] | RouteSource | None = None,
         *,
-        statistic: str = SICSettings.statistic,
-        candidates: int = SICSettings.candidates,
-        history: int = SICSettings.history,
-        gamma: float = SICSettings.gamma,
-        carry: bool | None = SICSettings.carry,
-        discount: bool | None = SICSettings.discount,
-        compute_weight: float | tuple[float, float] = 1.0,
-        reselection: int | None = None,
-        coverage: float = COVERAGE,
-        allow_idle: bool = False,
-        slots: int | None = None,
-        episode_length: int | None = None,
-        random_start: bool = False,
-        costs: str = "measured",
-        reward: str | Reward = "estimated",
-        threads: int = 1,
-        render_mode: str | None = None,
-        **unknown: Any,
+        statistic: str,
+        candidates: int,
+        history: int,
+        gamma: float,
+        carry: bool | None,
+        discount: bool | None,
+        compute_weight: float | tuple[float, float],
+        reselection: int | None,
+        coverage: float,
+        allow_idle: bool,
+        slots: int | None,
+        episode_length: int | None,
+        random_start: bool,
+        costs: str,
+        reward: str | Reward,
+        threads: int,
+        render_mode: str | None,
+        unknown: Mapping[str, Any],
     ) -> None:
         for name in unknown:
-            valid = [known for known in inspect.signature(Task).parameters if known != "num_routes"]
-            raise ValueError(suggest("environment argument", name, valid[:-1]))
+            valid = [known for known in inspect.signature(Task).parameters if known != "unknown"]
+            hint = suggest("environment argument", name, valid[1:])
+            raise TypeError(f"unexpected keyword argument {name!r}: {hint}")
         num_routes = whole("num_envs", num_routes, 1)
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(suggest("render mode", render_mode, RENDER_MODES))
@@ -229,18 +232,28 @@ class Task:
             raise ValueError(f"action value {wrong}; {self.action_space} takes 0 and 1 only")
         return given.astype(np.bool_)
 
+    def advance(
+        self, actions: NDArray[np.bool_], active: NDArray[np.bool_] | None = None
+    ) -> Outcome:
+        """Take the active routes, or all, through their next frame."""
+        episodes = self.episodes
+        episodes.choose(actions, active)  # which techniques run on the next frame
+        episodes.run()  # their score rows: a bank has them, a live route computes them now
+        episodes.estimator.update()  # SIC and MuSIC, or the belief: place, confidence, p̂
+        return episodes.observe()  # what a robot would know
+
     def step(
         self, actions: NDArray[np.bool_], active: NDArray[np.bool_] | None = None
     ) -> tuple[Outcome, NDArray[np.float64], Terms]:
-        """One frame of the active routes, or of all: run techniques, correct, fuse, reward.
+        """One frame of the active routes, or of all, and its reward.
 
         Returns:
             Outcome, rewards and their terms, all with leading N; 0 where no frame was processed.
         """
-        out = self.episodes.step(actions, active)
+        out = self.advance(actions, active)
         terms = self._terms(out)
         if active is not None or self.episodes.is_live:  # a source may have ended
-            kept = self.episodes.stepped
+            kept = self.episodes.state.active
             terms = {name: np.where(kept, term, 0.0) for name, term in terms.items()}
         return out, sum(terms.values(), np.zeros(self.episodes.num_routes)), terms
 
@@ -250,7 +263,7 @@ class Task:
         The reward that an environment has by default is not worth NumPy's arrays of one.
         """
         if self.reward is estimated and not self.episodes.is_live:
-            out = self.episodes.step(actions)
+            out = self.advance(actions)
             result = out.first()
             terms = trade(result[_P_CORRECT], result[_COMPUTE], result[_COMPUTE_WEIGHT])
             reward = sum(terms.values())

@@ -13,10 +13,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.envs.infos import Infos, Terms, batch_infos
+from amusic_gym.envs.outcome import Outcome
 from amusic_gym.envs.pictures.viewer import Viewer, viewer_for
 from amusic_gym.envs.registration import Specified
+from amusic_gym.envs.rewards import Reward
+from amusic_gym.envs.sources import BankLike, RouteSource
 from amusic_gym.envs.task import RENDER_FPS, RENDER_MODES, Task, as_seed
-from amusic_gym.estimation.records import Outcome
+from amusic_gym.estimation.settings import COVERAGE, SICSettings
 from amusic_gym.utils.names import suggest
 
 Floats = NDArray[np.float64]
@@ -34,9 +37,10 @@ class TechniqueSelectionVectorEnv(
         bank: as in :class:`amusic_gym.envs.env.TechniqueSelectionEnv`.
         autoreset_mode: any of Gymnasium's modes.
         max_episode_steps: what ``gymnasium.make_vec`` passes; the same as ``episode_length``.
-        arguments: the single environment's, see :class:`amusic_gym.envs.task.Task`.
+        statistic: this and all that follow: see :class:`amusic_gym.envs.task.Task`.
 
     Raises:
+        TypeError: for an unknown argument, with the nearest suggested.
         ValueError: for any argument out of range, with the valid ones.
     """
 
@@ -45,19 +49,57 @@ class TechniqueSelectionVectorEnv(
     def __init__(
         self,
         num_envs: int = 1,
-        bank: Any = None,
+        bank: BankLike | Sequence[BankLike] | RouteSource | None = None,
         *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
-        **arguments: Any,
+        statistic: str = SICSettings.statistic,
+        candidates: int = SICSettings.candidates,
+        history: int = SICSettings.history,
+        gamma: float = SICSettings.gamma,
+        carry: bool | None = SICSettings.carry,
+        discount: bool | None = SICSettings.discount,
+        compute_weight: float | tuple[float, float] = 1.0,
+        reselection: int | None = None,
+        coverage: float = COVERAGE,
+        allow_idle: bool = False,
+        slots: int | None = None,
+        episode_length: int | None = None,
+        random_start: bool = False,
+        costs: str = "measured",
+        reward: str | Reward = "estimated",
+        threads: int = 1,
+        render_mode: str | None = None,
+        **unknown: Any,
     ) -> None:
-        if max_episode_steps is not None:
-            arguments.setdefault("episode_length", max_episode_steps)
         self.autoreset_mode = self._mode(autoreset_mode)
-        self.task = Task(num_envs, bank, **arguments)
+        if episode_length is None:
+            episode_length = max_episode_steps
+        self.task = Task(
+            num_envs,
+            bank,
+            statistic=statistic,
+            candidates=candidates,
+            history=history,
+            gamma=gamma,
+            carry=carry,
+            discount=discount,
+            compute_weight=compute_weight,
+            reselection=reselection,
+            coverage=coverage,
+            allow_idle=allow_idle,
+            slots=slots,
+            episode_length=episode_length,
+            random_start=random_start,
+            costs=costs,
+            reward=reward,
+            threads=threads,
+            render_mode=render_mode,
+            unknown=unknown,
+        )
         self.num_envs = num_envs
-        self.render_mode = arguments.get("render_mode")
-        self._viewer = viewer_for(self.task.episodes, self.render_mode, RENDER_FPS)
+        self.render_mode = render_mode
+        self._viewer = viewer_for(self.task.episodes, render_mode, RENDER_FPS)
         self.metadata = {
             "render_modes": list(RENDER_MODES),
             "render_fps": RENDER_FPS,

@@ -2,8 +2,8 @@
 
 The coefficients were fitted on simulated routes only, by ``scripts/calibrate.py``, and are read
 from ``calibration.json``. The compiled twins of :func:`design`, :func:`belief_design` and the
-logistic function are ``estimate`` and ``believe`` in :mod:`amusic_gym.estimation.dynamics`; tests
-hold them equal.
+logistic function are ``estimate_correctness`` of SIC and ``believe`` of the belief; tests hold
+them equal.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def coefficients(statistic: str) -> NDArray[np.float64]:
     The first factor is of the whole drive: s = asinh(statistic), discounted, m = asinh(margin),
     t = log(1 + frames in a row on which the prediction moved on by one place); h ∈ [0, 1] is how
     much another technique has a say, u how much one says the same (``weigh_others`` in
-    :mod:`amusic_gym.estimation.dynamics`). The second is of late: r = asinh of the running mean,
+    :mod:`amusic_gym.estimation.sic.update`). The second is of late: r = asinh of the running mean,
     over the frames on which something ran, of the similarity, the z-score of the prediction in the
     row of the technique trusted. It falls where the robot leaves the map after a long good drive,
     whose statistic lasts.

@@ -7,7 +7,14 @@ from dataclasses import dataclass
 from amusic_gym.utils.checks import flag, number, whole
 from amusic_gym.utils.names import suggest
 
-STATISTICS = ("mean", "evidence", "belief")
+ESTIMATORS = {
+    "mean": "amusic_gym.estimation.sic.estimator:SICEstimator",
+    "evidence": "amusic_gym.estimation.sic.estimator:SICEstimator",
+    "belief": "amusic_gym.estimation.belief.estimator:BeliefEstimator",
+}
+"""Statistic → module and class of its estimator (:mod:`amusic_gym.estimation.estimator`)."""
+
+STATISTICS = tuple(ESTIMATORS)
 """``mean`` is the paper's average, ``evidence`` Stouffer's weighted Z, ``belief`` the log-odds of a
 filter over places that follows stops, other speeds and jumps (docs/fidelity.md, docs/belief.md)."""
 
@@ -60,8 +67,8 @@ class SICSettings:
     discount: bool | None = None
 
     def __post_init__(self) -> None:
-        if self.statistic not in STATISTICS:
-            raise ValueError(suggest("statistic", self.statistic, STATISTICS))
+        if self.statistic not in ESTIMATORS:
+            raise ValueError(suggest("statistic", self.statistic, tuple(ESTIMATORS)))
         object.__setattr__(self, "candidates", whole("candidates (K)", self.candidates, 1))
         object.__setattr__(self, "history", whole("history (F)", self.history, 0))
         gamma = number("gamma", self.gamma, "a number in (0, 1]")

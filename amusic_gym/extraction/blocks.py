@@ -30,7 +30,7 @@ _ALIGNMENT = 64  # bytes: a cache line, and the widest registers
 
 @dataclass(frozen=True)
 class Images:
-    """The images of a traverse as shards need them.
+    """The images of a traverse, or of a block of it.
 
     Attributes:
         paths: N files, in the order of the traverse.
@@ -48,12 +48,11 @@ class Images:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """(N,) texts that stand for what `read` gives: equal texts, equal images."""
-        if not self.changes:
-            return self.digests
+        """(N,) identifiers of the images that `read` gives: digest and change."""
+        changes = self.changes or (None,) * len(self.digests)
         return tuple(
             digest if change is None else f"{digest} {change}"
-            for digest, change in zip(self.digests, self.changes, strict=True)
+            for digest, change in zip(self.digests, changes, strict=True)
         )
 
     def read(self, at: int) -> Image:
@@ -61,7 +60,7 @@ class Images:
 
         Raises:
             FileNotFoundError: when the file is not there any more.
-            ValueError: when it is another than that of the digest.
+            ValueError: when its contents have another digest by now.
         """
         data = read_bytes(self.paths[at])
         if digest_of(data) != self.digests[at]:
@@ -81,10 +80,8 @@ class Images:
 
     def blocks(self) -> list[Images]:
         """The traverse in pieces of ``BLOCK`` images; the last may be shorter."""
-        return [
-            self.take(range(first, min(first + BLOCK, len(self))))
-            for first in range(0, len(self), BLOCK)
-        ]
+        numbers = range(len(self))
+        return [self.take(numbers[first : first + BLOCK]) for first in numbers[::BLOCK]]
 
 
 @dataclass(frozen=True)
@@ -124,20 +121,16 @@ def aligned(array: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def describe_one(technique: Technique, image: Image, *, query: bool) -> Descriptor:
-    """Descriptor of one image, on one thread, checked.
+    """Descriptor of one image (H, W, 3) uint8, as a query or as a place of the map.
 
-    Args:
-        technique: the technique.
-        image: (H, W, 3) uint8.
-        query: whether as a query or as a place of the map.
+    Computed on one thread.
 
     Raises:
         ValueError: when the technique gives something else than an array of finite real numbers,
             or raises something, which is the cause.
     """
     describe = technique.describe_query if query else technique.describe
-    kind = type(technique).__module__
-    given = guarded(f"technique {technique.name!r}", kind, alone, describe, image)
+    given = guarded(f"technique {technique.name!r}", technique, alone, describe, image)
     descriptor = _floats(technique, given, "a descriptor")
     if np.ndim(given) == 0:
         raise ValueError(
@@ -148,15 +141,12 @@ def describe_one(technique: Technique, image: Image, *, query: bool) -> Descript
 
 
 def match_one(technique: Technique, query: Descriptor, block: Descriptor) -> NDArray[np.float32]:
-    """Scores of one query against one block of the map, on one thread, checked.
+    """Scores (B,) float32 of one query against one block of the map, on one thread.
 
     Args:
         technique: the technique.
         query: what :func:`describe_one` gave for the query.
-        block: (B, ...) descriptors of up to ``BLOCK`` references; see :func:`aligned`.
-
-    Returns:
-        (B,) float32.
+        block: (B, ...) descriptors of up to ``BLOCK`` references, :func:`aligned`.
 
     Raises:
         ValueError: when the technique gives something else than B finite real numbers, or raises
@@ -166,8 +156,7 @@ def match_one(technique: Technique, query: Descriptor, block: Descriptor) -> NDA
         f"technique {technique.name!r}, matching a query of shape {query.shape} with references "
         f"of shape {block.shape}"
     )
-    kind = type(technique).__module__
-    given = guarded(what, kind, alone, technique.match, aligned(query), block)
+    given = guarded(what, technique, alone, technique.match, aligned(query), block)
     scores = _floats(technique, given, "scores")
     if scores.shape != (len(block),):
         raise ValueError(
@@ -183,11 +172,7 @@ def check_shape(
     expected: tuple[int, ...],
     path: os.PathLike[str],
 ) -> None:
-    """Refuse a descriptor of another shape than the others of its side have.
-
-    Raises:
-        ValueError: naming the technique and the image.
-    """
+    """Refuse a descriptor of another shape than the traverse's first, with a ValueError."""
     if shape != expected:
         raise ValueError(
             f"technique {technique.name!r} describes {path} by shape {shape} and other images of "
@@ -196,17 +181,16 @@ def check_shape(
 
 
 def _floats(technique: Technique, values: object, what: str) -> NDArray[np.float32]:
-    kind = type(technique).__module__
-    array = guarded(
-        f"technique {technique.name!r} gives something else than {what}", kind, np.asarray, values
-    )
+    """The values as finite float32 numbers in C order; ``what`` names them in a refusal."""
+    told = f"technique {technique.name!r} gives"
+    array = guarded(f"{told} something else than {what}", technique, np.asarray, values)
     if array.dtype.kind not in "fiub" or array.size == 0:
         raise ValueError(
-            f"technique {technique.name!r} gives {what} of dtype {array.dtype} and shape "
-            f"{array.shape}; float32 numbers are expected"
+            f"{told} {what} of dtype {array.dtype} and shape {array.shape}; "
+            "float32 numbers are expected"
         )
     with np.errstate(over="ignore"):  # too large for float32 becomes infinite: refused next
         array = np.ascontiguousarray(array, np.float32)
     if not np.isfinite(array).all():
-        raise ValueError(f"technique {technique.name!r} gives {what} with NaN or infinity")
+        raise ValueError(f"{told} {what} with NaN or infinity")
     return array

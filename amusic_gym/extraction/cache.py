@@ -14,8 +14,7 @@ import tempfile
 import warnings
 from io import BufferedReader
 from pathlib import Path
-from types import TracebackType
-from typing import BinaryIO
+from typing import BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,23 +63,35 @@ class Cache:
 
     def __init__(self, folder: str | os.PathLike[str] | None = None) -> None:
         self.folder = Path(os.path.abspath(folder or default_cache()))
-        self._is_default = not folder
-        if folder and os.path.exists(self.folder) and not os.path.isdir(self.folder):
+        if folder and self.folder.exists() and not self.folder.is_dir():
             raise ValueError(f"the cache {self.folder} is a file; give a folder")
+        self._folders = [self.folder]  # the first to write to, all to look in
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._checked: set[Path] = set()
         self._damaged = 0
         try:
-            self._prepare(self.folder)
+            _prepare(self.folder)
         except OSError as error:
-            self._go_elsewhere(error)
+            if folder and error.errno not in _READ_ONLY:
+                raise OSError(
+                    error.errno,
+                    f"the cache {self.folder} cannot be used ({error.strerror or error}); "
+                    "choose another folder",
+                ) from error
+            warnings.warn(
+                f"the cache {self.folder} cannot be written ({error.strerror}); what is computed "
+                "now is not kept for the next time: choose another folder for the cache "
+                "(--cache DIR)",
+                stacklevel=2,
+            )
+            self._temporary = tempfile.TemporaryDirectory(prefix="amusic-gym-")
+            self._folders.insert(0, Path(self._temporary.name))
+            _prepare(self._folders[0])
 
     @property
     def is_temporary(self) -> bool:
         """Whether new entries go to a temporary folder."""
         return self._temporary is not None
-
-    # ---- entries -------------------------------------------------------------------------
 
     def get(self, key: str) -> Stored | None:
         """The entry ``key``; None where there is none, or only a damaged one.
@@ -135,22 +146,12 @@ class Cache:
                     f"writing the cache {folder} failed ({error.strerror or error}), nothing is "
                     "lost; free some space or choose another folder for the cache",
                 ) from error
-        with path.open("rb") as file:
-            stored = _address(file, path)
         self._checked.add(path)
-        return stored
-
-    @property
-    def _folders(self) -> list[Path]:
-        """Where to write, and where else to look."""
-        return [self.folder] if self._temporary is None else [self._temporary_folder, self.folder]
-
-    @property
-    def _temporary_folder(self) -> Path:
-        assert self._temporary is not None
-        return Path(self._temporary.name)
+        with path.open("rb") as file:
+            return self._examine(file, path, key)
 
     def _examine(self, file: BufferedReader, path: Path, key: str) -> Stored:
+        """An entry's address; its checksum is compared once."""
         if path not in self._checked:
             expected = file.read(_DIGEST)
             if not expected:
@@ -158,30 +159,11 @@ class Cache:
             if _digest(file, key) != expected:
                 raise ValueError("its checksum differs")
             self._checked.add(path)
-        return _address(file, path)
-
-    # ---- the folder ----------------------------------------------------------------------
-
-    def _prepare(self, folder: Path) -> None:
-        (folder / _INCOMING).mkdir(parents=True, exist_ok=True)
-        storage.sweep(folder / _INCOMING)
-        with storage.unfinished(folder / _INCOMING):  # fails where nothing can be written
-            pass
-
-    def _go_elsewhere(self, error: OSError) -> None:
-        if error.errno not in _READ_ONLY and not self._is_default:
-            raise OSError(
-                error.errno,
-                f"the cache {self.folder} cannot be used ({error.strerror or error}); "
-                "choose another folder",
-            ) from error
-        warnings.warn(
-            f"the cache {self.folder} cannot be written ({error.strerror}); what is computed now "
-            "is not kept for the next time: choose another folder for the cache (--cache DIR)",
-            stacklevel=3,
-        )
-        self._temporary = tempfile.TemporaryDirectory(prefix="amusic-gym-")
-        self._prepare(self._temporary_folder)
+        file.seek(_DIGEST)
+        header = storage.read_npy_header(file, path)
+        if header.dtype != np.float32 or header.fortran_order:
+            raise ValueError(f"it holds {header.dtype}")
+        return Stored(path, header.offset, header.shape)
 
     def close(self) -> None:
         """Remove the temporary folder, where there is one; say how much was damaged."""
@@ -193,28 +175,22 @@ class Cache:
                 f"{damaged} entries of the cache {self.folder} were damaged", stacklevel=2
             )
 
-    def __enter__(self) -> Cache:
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _prepare(folder: Path) -> None:
+    (folder / _INCOMING).mkdir(parents=True, exist_ok=True)
+    storage.sweep(folder / _INCOMING)
+    with storage.unfinished(folder / _INCOMING):  # fails where nothing can be written
+        pass
 
 
 def _path(folder: Path, key: str) -> Path:
     return folder / key[:2] / f"{key}.entry"
-
-
-def _address(file: BufferedReader, path: Path) -> Stored:
-    file.seek(_DIGEST)
-    header = storage.read_npy_header(file, path)
-    if header.dtype != np.float32 or header.fortran_order:
-        raise ValueError(f"it holds {header.dtype}")
-    return Stored(path, header.offset, header.shape)
 
 
 def _digest(file: BinaryIO, key: str) -> bytes:

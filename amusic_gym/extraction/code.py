@@ -1,17 +1,16 @@
-"""What a technique's results depend on: its class, its parameters, its code, its libraries."""
+"""The key of a technique's results in the cache: class, parameters, code and libraries."""
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import importlib.metadata
-import importlib.util
 import inspect
 import json
 import marshal
 import sys
+from collections.abc import Mapping
 from functools import cache
-from importlib.machinery import ModuleSpec
+from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -25,19 +24,6 @@ from amusic_gym.utils.imports import imports_of
 _PACKAGE = "amusic_gym"
 _ALWAYS = ("amusic_gym.routes.images", "amusic_gym.extraction.blocks")
 """Code that every descriptor and every score goes through."""
-
-# Distributions whose names are not those of the modules they bring, in the order to look for them.
-_DISTRIBUTIONS = {
-    "cv2": (
-        "opencv-python-headless",
-        "opencv-python",
-        "opencv-contrib-python-headless",
-        "opencv-contrib-python",
-    ),
-    "PIL": ("pillow",),
-    "skimage": ("scikit-image",),
-    "sklearn": ("scikit-learn",),
-}
 
 
 def identity(technique: Technique) -> dict[str, Any]:
@@ -69,8 +55,8 @@ def describes_queries_alike(technique: Technique) -> bool:
 
 def _plain(technique: Technique) -> dict[str, Any]:
     plain = {}
-    what, kind = f"technique {technique.name!r}, parameters()", type(technique).__module__
-    given = guarded(what, kind, lambda: dict(technique.parameters()))
+    what = f"technique {technique.name!r}, parameters()"
+    given = guarded(what, technique, lambda: dict(technique.parameters()))
     for name, value in given.items():
         value = value.item() if isinstance(value, np.generic) else value
         if not isinstance(value, str | int | float):  # bool is an int
@@ -118,43 +104,28 @@ def _is_own(top: str) -> bool:
     """Whether a top-level module or package is neither installed nor Python's."""
     if top in sys.stdlib_module_names:
         return False
-    file = _file_of(top)
-    places = [str(file)] if file is not None else [str(each) for each in _folders_of(top)]
+    file, spec = _file_of(top), _spec_of(top)
+    places = [str(file)] if file else list(spec and spec.submodule_search_locations or ())
     return bool(places) and all(map(is_local, places))
 
 
 @cache
 def _file_of(module: str) -> Path | None:
     """Source file of a module; None where there is none, or the name is no module."""
-    file = getattr(sys.modules.get(module), "__file__", None)
-    if file is not None:
-        return Path(file) if file.endswith(".py") and Path(file).is_file() else None
-    top, *rest = module.split(".")  # not imported yet: found without running anything
-    if not rest:
-        origin = getattr(_spec_of(top), "origin", None) or ""
-        return Path(origin) if origin.endswith(".py") and Path(origin).is_file() else None
-    for folder in _folders_of(top):
-        at = Path(folder, *rest)
-        for path in (at.with_suffix(".py"), at / "__init__.py"):
-            if path.is_file():
-                return path
-    return None
+    spec = _spec_of(module)
+    origin = getattr(sys.modules.get(module), "__file__", None) or (spec and spec.origin) or ""
+    return Path(origin) if origin.endswith(".py") and Path(origin).is_file() else None
 
 
-def _folders_of(top: str) -> list[str]:
-    """Folders of a top-level package; none for a module."""
-    if top in sys.modules:
-        return list(getattr(sys.modules[top], "__path__", ()))
-    return list(getattr(_spec_of(top), "submodule_search_locations", None) or ())
-
-
-def _spec_of(top: str) -> ModuleSpec | None:
-    """Where a top-level module that is not imported yet would come from; runs nothing of it."""
-    if top in sys.modules:
-        return None
-    with contextlib.suppress(ImportError, ValueError):
-        return importlib.util.find_spec(top)
-    return None
+def _spec_of(module: str) -> ModuleSpec | None:
+    """The place a module is, or would be, imported from; nothing of it is run."""
+    if module in sys.modules:
+        return sys.modules[module].__spec__
+    places: list[str] | None = None  # Python's path
+    if parent := module.rpartition(".")[0]:
+        above = _spec_of(parent)
+        places = (above and above.submodule_search_locations) or []
+    return PathFinder.find_spec(module, places)
 
 
 def _text_of(kind: type) -> bytes:
@@ -166,13 +137,15 @@ def _text_of(kind: type) -> bytes:
 
 
 @cache
+def _distributions() -> Mapping[str, list[str]]:
+    return importlib.metadata.packages_distributions()
+
+
 def _version(library: str) -> str:
-    for distribution in _DISTRIBUTIONS.get(library, (library,)):
-        try:
-            return importlib.metadata.version(distribution)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return str(getattr(sys.modules.get(library), "__version__", "unknown"))
+    found = {importlib.metadata.version(each) for each in _distributions().get(library, ())}
+    return ", ".join(sorted(found)) or str(
+        getattr(sys.modules.get(library), "__version__", "unknown")
+    )
 
 
 def key_of(**parts: Any) -> str:

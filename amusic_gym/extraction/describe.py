@@ -1,11 +1,11 @@
-"""What is to be computed for one technique, what of it the cache has, and the rest."""
+"""The descriptors and scores of one technique, from the cache or computed."""
 
 from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from amusic_gym.extraction.blocks import Images, Stored, check_shape
 from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.code import describes_queries_alike, identity, key_of
-from amusic_gym.extraction.executors import Workers
 from amusic_gym.extraction.progress import Progress
-from amusic_gym.extraction.shards import Advance, DescribeShard, MatchShard, S
+from amusic_gym.extraction.shards import Advance, DescribeShard, MatchShard, S, Workers
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.images import check_image, digest_of, lost_levels, read_bytes
 from amusic_gym.techniques.protocol import Technique
@@ -51,43 +50,43 @@ def images_of(folder: ImageFolder) -> Images:
         except ValueError as error:
             refused.append(str(error))
     if refused:
-        raise ValueError(_together(refused))
+        more = f"; and {len(refused) - _NAMED} more" if len(refused) > _NAMED else ""
+        count = f"{len(refused)} images cannot be used: " if len(refused) > 1 else ""
+        named = "; ".join(refused[:_NAMED])
+        raise ValueError(f"{count}{named}{more}; or go on without (--skip-damaged)")
     if lost:
         warnings.warn(lost, UserWarning, stacklevel=2)
     return Images(paths, tuple(digests), folder.changes)
 
 
-def _together(refused: Sequence[str]) -> str:
-    """One sentence of several refusals."""
-    more = f"; and {len(refused) - _NAMED} more" if len(refused) > _NAMED else ""
-    count = f"{len(refused)} images cannot be used: " if len(refused) > 1 else ""
-    return f"{count}{'; '.join(refused[:_NAMED])}{more}; or go on without (--skip-damaged)"
+@dataclass
+class ExtractionPlan:
+    """One technique on one route, in blocks, and the keys of its results in the cache.
 
-
-@dataclass(frozen=True)
-class Plan:
-    """The shards of one technique on one route, and their keys.
+    Args:
+        technique: the technique.
+        reference: the map's images.
+        query: the query's images.
 
     Attributes:
-        technique: the technique.
-        references: the map, in blocks.
-        queries: the queries, in blocks.
+        references: blocks of the map.
+        queries: blocks of the query.
         identity: all that results depend on besides the images.
+
+    Raises:
+        ValueError: when the technique's parameters are not plain values.
     """
 
     technique: Technique
-    references: Sequence[Images]
-    queries: Sequence[Images]
-    identity: dict[str, Any]
+    reference: Images
+    query: Images
+    references: Sequence[Images] = field(init=False)
+    queries: Sequence[Images] = field(init=False)
+    identity: dict[str, Any] = field(init=False)
 
-    @classmethod
-    def of(cls, technique: Technique, references: Images, queries: Images) -> Plan:
-        """The plan for whole traverses.
-
-        Raises:
-            ValueError: when the technique's parameters are not plain values.
-        """
-        return cls(technique, references.blocks(), queries.blocks(), identity(technique))
+    def __post_init__(self) -> None:
+        self.references, self.queries = self.reference.blocks(), self.query.blocks()
+        self.identity = identity(self.technique)
 
     def descriptor_key(self, images: Images, *, query: bool) -> str:
         """Key of a block's descriptors; that of a query is a map's where they are the same."""
@@ -104,13 +103,13 @@ class Plan:
 
 
 def describe(
-    plan: Plan,
+    plan: ExtractionPlan,
     cache: Cache,
     workers: Workers,
     progress: Progress,
     *,
     query: bool,
-    only: Collection[int] | None = None,
+    only: Sequence[int] | None = None,
 ) -> list[Stored]:
     """Descriptors of one side's blocks, from the cache or computed.
 
@@ -119,18 +118,18 @@ def describe(
         cache: where they are, and where new ones go as they are finished.
         workers: for those that the cache lacks.
         progress: gets a bar.
-        query: which side.
-        only: indices of the blocks that are wanted; None: all.
+        query: whether the queries or the map.
+        only: indices of the blocks that are wanted, rising; None: all.
 
     Returns:
-        The wanted blocks, in rising order.
+        The wanted blocks.
 
     Raises:
         ValueError: for an image that cannot be read or described; for descriptors of different
             shapes.
     """
     blocks = plan.queries if query else plan.references
-    wanted = [blocks[at] for at in (range(len(blocks)) if only is None else sorted(only))]
+    wanted = blocks if only is None else [blocks[at] for at in only]
     keys = [plan.descriptor_key(images, query=query) for images in wanted]
     found = {key: cache.get(key) for key in keys}
     missing = {
@@ -148,7 +147,7 @@ def describe(
     return stored
 
 
-def match(plan: Plan, cache: Cache, workers: Workers, progress: Progress) -> int:
+def match(plan: ExtractionPlan, cache: Cache, workers: Workers, progress: Progress) -> int:
     """Put the scores of all blocks into the cache; describe what that needs.
 
     Returns:
@@ -163,14 +162,13 @@ def match(plan: Plan, cache: Cache, workers: Workers, progress: Progress) -> int
         for r, references in enumerate(plan.references)
         if cache.get(key := plan.score_key(queries, references)) is None
     }
-    sides = [sorted({pair[side] for pair in missing}) for side in (0, 1)]
-    references, queries = (
-        dict(zip(sides[side], stored, strict=True))
-        for side, stored in (
-            (1, describe(plan, cache, workers, progress, query=False, only=sides[1])),
-            (0, describe(plan, cache, workers, progress, query=True, only=sides[0])),
-        )
-    )
+
+    def described(side: int) -> dict[int, Stored]:
+        only = sorted({pair[side] for pair in missing})
+        stored = describe(plan, cache, workers, progress, query=side == 0, only=only)
+        return dict(zip(only, stored, strict=True))
+
+    references, queries = described(1), described(0)
     shards = (
         MatchShard(key, queries[q], references[r], plan.queries[q].paths)
         for (q, r), key in missing.items()
@@ -182,7 +180,7 @@ def match(plan: Plan, cache: Cache, workers: Workers, progress: Progress) -> int
     return total
 
 
-def score_rows(plan: Plan, cache: Cache) -> Iterator[NDArray[np.float32]]:
+def score_rows(plan: ExtractionPlan, cache: Cache) -> Iterator[NDArray[np.float32]]:
     """All scores, which :func:`match` has put into the cache, as blocks of rows (B, R)."""
     for queries in plan.queries:
         yield np.hstack(
@@ -194,10 +192,7 @@ def score_rows(plan: Plan, cache: Cache) -> Iterator[NDArray[np.float32]]:
 
 
 def _compute(
-    shards: Collection[S] | Iterator[S],
-    cache: Cache,
-    workers: Workers,
-    advance: Advance,
+    shards: Iterable[S], cache: Cache, workers: Workers, advance: Advance
 ) -> Iterator[tuple[str, Stored]]:
     for shard, result in workers.run(shards, advance):
         yield shard.key, cache.put(shard.key, result)

@@ -1,88 +1,37 @@
-"""Where shards are run: in this process, in others, or on a Ray cluster."""
+"""Executors by name: this process, others of this machine, or a Ray cluster."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager
-from types import TracebackType
-from typing import Protocol
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.extraction.shards import Advance, S, nothing
+from amusic_gym.extraction.shards import Advance, Executor, S, Workers, nothing
 from amusic_gym.techniques.protocol import Technique
-from amusic_gym.utils.names import nearest
+from amusic_gym.utils.names import suggest
 
 EXECUTORS = ("serial", "process:N", "ray", "ray:ADDRESS")
 
 
-class Workers(Protocol):
-    """Workers that hold one technique."""
-
-    def run(
-        self, shards: Iterable[S], advance: Advance = nothing
-    ) -> Iterator[tuple[S, NDArray[np.float32]]]:
-        """Run all ``shards`` and yield each with its result, in any order.
-
-        ``advance`` is called with every amount of work that is done, in shards' ``size``; in this
-        process image by image, elsewhere shard by shard.
-
-        Shards are taken from the iterable as workers become free. An error inside a shard is
-        raised here as it is; a shard whose worker died is run `shards.ATTEMPTS` times in all.
-
-        Raises:
-            ChildProcessError: when a shard's worker died each time.
-        """
-        ...
-
-
-class Executor(Protocol):
-    """Makes workers; a context, at whose end they are gone."""
-
-    def workers(self, technique: Technique) -> AbstractContextManager[Workers]:
-        """Workers for the shards of one technique, until the end of the context."""
-        ...
-
-    def __enter__(self) -> Executor: ...
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None: ...
-
-
-class Serial:
-    """Runs shards in this process, one after the other."""
-
-    def workers(self, technique: Technique) -> _SerialWorkers:
-        """This process."""
-        return _SerialWorkers(technique)
-
-    def __enter__(self) -> Serial:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-
-class _SerialWorkers:
-    def __init__(self, technique: Technique) -> None:
-        self._technique = technique
+@dataclass
+class _ThisProcess(Workers):
+    technique: Technique
 
     def run(
         self, shards: Iterable[S], advance: Advance = nothing
     ) -> Iterator[tuple[S, NDArray[np.float32]]]:
         for shard in shards:
-            yield shard, shard.run(self._technique, advance)
+            yield shard, shard.run(self.technique, advance)
 
-    def __enter__(self) -> _SerialWorkers:
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        pass
+class Serial(Executor):
+    """Runs shards in this process, one after the other."""
+
+    def workers(self, technique: Technique) -> Workers:
+        """This process."""
+        return _ThisProcess(technique)
 
 
 def make_executor(name: str) -> Executor:
@@ -100,18 +49,14 @@ def make_executor(name: str) -> Executor:
     kind, colon, argument = str(name).partition(":")
     if kind == "serial" and not colon:
         return Serial()
-    if kind == "process" and argument.isdecimal() and int(argument) > 0:
+    if kind == "process" and argument.isdecimal():
         from amusic_gym.extraction.processes import Processes
 
+        if int(argument) == 0:
+            raise ValueError(f"executor {name!r} has no process; give at least 1")
         return Processes(int(argument))
-    if kind == "process" and argument.isdecimal():
-        raise ValueError(f"executor {name!r} has no process; give at least 1")
     if kind == "ray" and bool(colon) == bool(argument):
         from amusic_gym.extraction.ray_cluster import RayCluster
 
         return RayCluster(argument or None)
-    near = nearest(str(name), EXECUTORS)
-    hint = f" did you mean {near!r}?" if near else ""
-    raise ValueError(
-        f"unknown executor {name!r}:{hint} valid: {', '.join(EXECUTORS)}, N a number of processes"
-    )
+    raise ValueError(f"{suggest('executor', str(name), EXECUTORS)}, N a number of processes")

@@ -7,7 +7,6 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +17,11 @@ from amusic_gym.banks.bank import ScoreBank, check_names, check_seconds
 from amusic_gym.banks.ground_truth import GroundTruth, resolve_ground_truth
 from amusic_gym.banks.loop_closure import rows_without_recent, truth_without_recent
 from amusic_gym.extraction.cache import Cache
-from amusic_gym.extraction.describe import Plan, images_of, match, score_rows
-from amusic_gym.extraction.executors import Executor, make_executor
+from amusic_gym.extraction.describe import ExtractionPlan, images_of, match, score_rows
+from amusic_gym.extraction.executors import make_executor
 from amusic_gym.extraction.progress import Progress
 from amusic_gym.extraction.seconds import known_cost
+from amusic_gym.extraction.shards import Executor
 from amusic_gym.routes.folders import ImageFolder, check_apart
 from amusic_gym.routes.image_truth import by_index
 from amusic_gym.techniques import Technique, make_technique
@@ -100,7 +100,7 @@ def extract(
     references, queries = images_of(map_folder), images_of(run_folder)
     if exclude_recent is not None:
         truth = truth_without_recent(truth, exclude_recent)
-    plans = [Plan.of(technique, references, queries) for technique in made]
+    plans = [ExtractionPlan(technique, references, queries) for technique in made]
     say = Progress(progress)
     with ExitStack() as stack:
         store = cache if isinstance(cache, Cache) else stack.enter_context(Cache(cache))
@@ -109,63 +109,30 @@ def extract(
             _run(plan, store, where, say, declared.get(plan.technique.name), measure_again)
             for plan in plans
         ]
-        result = _Result(
-            names=names,
-            seconds=costs,
-            truth=truth,
-            tolerance=places,
-            name=name,
-            source=source or f"images: {run_folder.path.name} on {map_folder.path.name}",
-        )
         rows: Iterator[NDArray[np.float32]] = (
             block for plan in plans for block in score_rows(plan, store)
         )
         if exclude_recent is not None:
             rows = rows_without_recent(rows, truth.queries, exclude_recent)
-        return result.in_memory(rows) if out is None else result.on_disk(rows, Path(out))
-
-
-@dataclass(frozen=True)
-class _Result:
-    """All of a bank but its scores, which come in blocks of rows, technique by technique."""
-
-    names: tuple[str, ...]
-    seconds: list[float]
-    truth: GroundTruth
-    tolerance: int
-    name: str
-    source: str
-
-    def in_memory(self, rows: Iterator[NDArray[np.float32]]) -> ScoreBank:
-        scores = np.concatenate(list(rows)).reshape(
-            len(self.names), self.truth.queries, self.truth.references
+        return ScoreBank.from_rows(
+            rows,
+            names,
+            costs,
+            truth=truth,
+            tolerance=places,
+            name=name,
+            source=source or f"images: {run_folder.path.name} on {map_folder.path.name}",
+            out=out,
         )
-        return ScoreBank(
-            scores,
-            self.names,
-            self.seconds,
-            tolerance=self.tolerance,
-            ground_truth=self.truth,
-            name=self.name,
-            source=self.source,
-        )
-
-    def on_disk(self, rows: Iterator[NDArray[np.float32]], path: Path) -> ScoreBank:
-        written = bank_files.write(
-            path,
-            scores=rows,
-            truth=self.truth,
-            techniques=list(zip(self.names, self.seconds, strict=True)),
-            tolerance=self.tolerance,
-            name=self.name or path.name,
-            source=self.source,
-            costs="measured",
-        )
-        return ScoreBank.load(written)
 
 
 def _run(
-    plan: Plan, cache: Cache, where: Executor, say: Progress, declared: float | None, again: bool
+    plan: ExtractionPlan,
+    cache: Cache,
+    where: Executor,
+    say: Progress,
+    declared: float | None,
+    again: bool,
 ) -> float:
     """All shards of one technique; returns its seconds."""
     begun = time.monotonic()
@@ -178,8 +145,8 @@ def _run(
             cost, told = measured.seconds, str(measured)
     known = "" if pairs else ", all from the cache"
     say.line(
-        f"{plan.technique.name}: {sum(map(len, plan.queries))} queries × "
-        f"{sum(map(len, plan.references))} places in {time.monotonic() - begun:.1f} s{known}; "
+        f"{plan.technique.name}: {len(plan.query)} queries × {len(plan.reference)} places in "
+        f"{time.monotonic() - begun:.1f} s{known}; "
         f"{told}"
     )
     return cost

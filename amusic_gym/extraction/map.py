@@ -6,14 +6,14 @@ import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.extraction.blocks import Images, Stored, aligned, describe_one, match_one
 from amusic_gym.extraction.cache import Cache
-from amusic_gym.extraction.describe import Plan, describe, images_of
+from amusic_gym.extraction.describe import ExtractionPlan, describe, images_of
 from amusic_gym.extraction.executors import make_executor
 from amusic_gym.extraction.progress import Progress
 from amusic_gym.routes.folders import ImageFolder
@@ -21,7 +21,7 @@ from amusic_gym.techniques import Descriptor, Image, Technique, make_technique
 from amusic_gym.utils.threads import limit_this_thread, one_thread
 
 
-class DescribedMap(Sequence[Descriptor]):
+class DescribedMap:
     """A map as one technique describes it: a sequence of blocks, and the scores of a query.
 
     It does not change, and copies share it. Memory-mapped, it pickles as the addresses of its
@@ -56,13 +56,7 @@ class DescribedMap(Sequence[Descriptor]):
         self._pool: ThreadPoolExecutor | None = None
         self._owner = os.getpid()  # of the pool: a forked process has it without its threads
 
-    @overload
-    def __getitem__(self, at: int) -> Descriptor: ...
-
-    @overload
-    def __getitem__(self, at: slice) -> tuple[Descriptor, ...]: ...
-
-    def __getitem__(self, at: int | slice) -> Descriptor | tuple[Descriptor, ...]:
+    def __getitem__(self, at: int) -> Descriptor:
         """Block ``at``, read-only, (up to ``BLOCK``, ...)."""
         return self._blocks[at]
 
@@ -95,7 +89,7 @@ class DescribedMap(Sequence[Descriptor]):
 
     def _match(self, query: Descriptor) -> Iterator[NDArray[np.float32]]:
         if self._threads == 1 or len(self) == 1:
-            return (match_one(self.technique, query, block) for block in self)
+            return (match_one(self.technique, query, block) for block in self._blocks)
         if self._pool is None or self._owner != os.getpid():
             self._owner = os.getpid()
             self._pool = ThreadPoolExecutor(
@@ -157,7 +151,7 @@ def describe_map(
     with ExitStack() as stack:
         if not isinstance(cache, Cache):
             cache = stack.enter_context(Cache(cache))
-        plan = Plan.of(technique, images_of(folder), Images((), ()))
+        plan = ExtractionPlan(technique, images_of(folder), Images((), ()))
         with make_executor(executor) as where, where.workers(technique) as workers:
             blocks: Sequence[Stored] = describe(
                 plan, cache, workers, Progress(progress), query=False

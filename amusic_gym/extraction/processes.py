@@ -1,4 +1,8 @@
-"""Shards in processes of this machine."""
+"""Shards in processes of this machine.
+
+Not `concurrent.futures.ProcessPoolExecutor`: one worker that is killed breaks its whole pool, one
+killed while it sends a result blocks it for ever, and its workers outlive a killed parent.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +11,8 @@ import multiprocessing
 import pickle
 import signal
 import traceback
-from collections import deque
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any
@@ -16,37 +20,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.extraction.shards import ATTEMPTS, Advance, S, Shard, nothing
+from amusic_gym.extraction.shards import ATTEMPTS, Advance, Executor, S, Shard, Workers, nothing
 from amusic_gym.techniques.own_code import told
 from amusic_gym.techniques.protocol import Technique
 
 _GONE = (EOFError, OSError)  # what a pipe raises whose other end died, also in mid-message
-
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-class Processes:
+@dataclass
+class Processes(Executor):
     """Runs shards in ``count`` processes, which start as they are needed.
 
     They are spawned, so a technique's class must be in a module that they can import, and a
     script must start its work under ``if __name__ == "__main__":``.
-
-    Args:
-        count: of processes.
     """
 
-    def __init__(self, count: int) -> None:
-        self._count = count
+    count: int
 
     def workers(self, technique: Technique) -> _ProcessWorkers:
-        """``count`` processes that hold the technique."""
-        return _ProcessWorkers(self._count, dumped(technique))
-
-    def __enter__(self) -> Processes:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
+        """Processes that hold the technique; see :func:`dumped`."""
+        return _ProcessWorkers(self.count, dumped(technique))
 
 
 def dumped(technique: Technique) -> bytes:
@@ -80,24 +74,20 @@ def loaded(data: bytes) -> Technique:
     return technique
 
 
-class _ProcessWorkers:
+class _ProcessWorkers(Workers):
     def __init__(self, count: int, technique: bytes) -> None:
         self._count = count
         self._technique = technique
         self._idle: list[_Worker] = []
-        self._busy: dict[Connection, tuple[_Worker, Any, int]] = {}
+        self._busy: dict[Connection, tuple[_Worker, Any, int]] = {}  # with shard and attempt
 
     def run(
         self, shards: Iterable[S], advance: Advance = nothing
     ) -> Iterator[tuple[S, NDArray[np.float32]]]:
-        ahead = iter(shards)
-        again: deque[tuple[S, int]] = deque()
+        waiting = iter(shards)
         while True:
-            while len(self._busy) < self._count:
-                job = again.popleft() if again else _first_try(ahead)
-                if job is None:
-                    break
-                self._give(*job)
+            while len(self._busy) < self._count and (shard := next(waiting, None)) is not None:
+                self._give(shard, 1)
             if not self._busy:
                 return
             for connection in wait(list(self._busy)):
@@ -106,7 +96,10 @@ class _ProcessWorkers:
                 try:
                     answer = connection.recv()
                 except _GONE:
-                    again.append(_next_try(worker, shard, attempt))
+                    if attempt == ATTEMPTS:
+                        raise _given_up(worker, shard) from None
+                    worker.stop()
+                    self._give(shard, attempt + 1)
                     continue
                 self._idle.append(worker)
                 if isinstance(answer, BaseException):
@@ -120,35 +113,25 @@ class _ProcessWorkers:
         with contextlib.suppress(*_GONE):  # it died: `run` will notice when it listens
             worker.connection.send(shard)
 
-    def __enter__(self) -> _ProcessWorkers:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """End the processes, whatever they do."""
         workers = [*self._idle, *(worker for worker, _, _ in self._busy.values())]
+        self._idle, self._busy = [], {}
+        for worker in workers:
+            worker.process.terminate()
         for worker in workers:
             worker.stop()
-        for worker in workers:
-            worker.process.join()
-        self._idle, self._busy = [], {}
 
 
-def _first_try(shards: Iterator[S]) -> tuple[S, int] | None:
-    shard = next(shards, None)
-    return None if shard is None else (shard, 1)
-
-
-def _next_try(worker: _Worker, shard: S, attempt: int) -> tuple[S, int]:
+def _given_up(worker: _Worker, shard: Shard) -> ChildProcessError:
     worker.process.join(1)  # its pipe closed, so it is ending: let it, for its exit code
     worker.stop()
-    worker.process.join()
-    if attempt == ATTEMPTS:
-        code = worker.process.exitcode or 0
-        how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
-        raise ChildProcessError(
-            f"{shard}: {ATTEMPTS} workers died of it, the last by {how}; if memory ran out, use "
-            "fewer processes; what was finished is in the cache"
-        )
-    return shard, attempt + 1
+    code = worker.process.exitcode or 0
+    how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
+    return ChildProcessError(
+        f"{shard}: {ATTEMPTS} workers died of it, the last by {how}; if memory ran out, use "
+        "fewer processes; what was finished is in the cache"
+    )
 
 
 class _Worker:
@@ -165,6 +148,7 @@ class _Worker:
     def stop(self) -> None:
         self.connection.close()
         self.process.terminate()
+        self.process.join()
 
 
 @contextlib.contextmanager
@@ -179,28 +163,23 @@ def _interrupts_held_back() -> Iterator[None]:
 
 
 def _serve(connection: Connection, data: bytes) -> None:
-    """What a worker does until its pipe is closed."""
+    """A worker's loop, until its pipe is closed."""
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])  # by which it is stopped
     technique: Technique | None = None
-    while True:
-        try:
+    with contextlib.suppress(*_GONE):
+        while True:
             shard: Shard = connection.recv()
-        except _GONE:
-            return
-        answer: Any
-        try:
-            technique = technique or loaded(data)
-            answer = shard.run(technique)
-        except Exception as error:  # whatever it is, it belongs to whoever asked
-            answer = _sendable(error)
-        try:
+            answer: Any
+            try:
+                technique = technique or loaded(data)
+                answer = shard.run(technique)
+            except Exception as error:  # whatever it is, it belongs to whoever asked
+                answer = _sendable(error)
             connection.send(answer)
-        except _GONE:
-            return
 
 
 def _sendable(error: Exception) -> Exception:
-    """``error`` if it survives pickling, else one that tells of it."""
+    """``error`` if it survives pickling, else one with its text."""
     error.__cause__ = None  # not needed, and may not pickle
     try:
         pickle.loads(pickle.dumps(error))

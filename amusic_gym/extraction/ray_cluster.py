@@ -7,17 +7,29 @@ import logging
 import pickle
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.extraction.processes import dumped, loaded
-from amusic_gym.extraction.shards import ATTEMPTS, Advance, S, Shard, nothing
+from amusic_gym.extraction.shards import (
+    ATTEMPTS,
+    Advance,
+    Executor,
+    MatchShard,
+    S,
+    Shard,
+    Workers,
+    array_of,
+    nothing,
+)
 from amusic_gym.techniques.protocol import Technique
 
 
-class RayCluster:
+class RayCluster(Executor):
     """Runs shards as Ray tasks, one processor each.
 
     Workers must be able to import the technique's class and read the images under the same paths;
@@ -46,17 +58,14 @@ class RayCluster:
         """As many workers as the cluster has processors, once there is work."""
         return _RayWorkers(self, dumped(technique))
 
-    def connected(self) -> Any:
+    def connect(self) -> Any:
         """Ray, connected to a cluster.
 
         Raises:
             ValueError: when there is none at the address.
         """
-        if not self._ray.is_initialized():
-            self._connect()
-        return self._ray
-
-    def _connect(self) -> None:
+        if self._ray.is_initialized():
+            return self._ray
         try:
             self._ray.init(
                 address=self._address or "local",
@@ -70,21 +79,20 @@ class RayCluster:
                 "'ray start --head', or give its address as ray:ADDRESS"
             ) from error
         self._connected = True
+        return self._ray
 
-    def __enter__(self) -> RayCluster:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Leave the cluster that was connected to, or end the one that was started."""
         if self._connected:
             self._ray.shutdown()
             self._connected = False
 
 
-class _RayWorkers:
+class _RayWorkers(Workers):
     def __init__(self, cluster: RayCluster, technique: bytes) -> None:
         self._cluster = cluster
         self._technique = technique
-        self._running: dict[Any, Any] = {}
+        self._running: dict[Any, Any] = {}  # task -> shard
 
     def run(
         self, shards: Iterable[S], advance: Advance = nothing
@@ -93,43 +101,47 @@ class _RayWorkers:
         shard = next(waiting, None)
         if shard is None:
             return  # before a cluster is started for nothing
-        ray = self._cluster.connected()
+        ray = self._cluster.connect()
         technique = ray.put(self._technique)
         # Ray starts another worker in the place of one that died.
         remote = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_bootstrap())
         ahead = 2 * int(ray.cluster_resources().get("CPU", 1))
         while shard is not None or self._running:
             while shard is not None and len(self._running) < ahead:
-                task = remote.remote(sys.path, technique, pickle.dumps(shard.portable()))
+                task = remote.remote(sys.path, technique, pickle.dumps(_portable(shard)))
                 self._running[task] = shard
                 shard = next(waiting, None)
             for task in ray.wait(list(self._running), num_returns=1)[0]:
                 done = self._running.pop(task)
-                result = self._result(ray, task, done)
+                result = _result(ray, task, done)
                 advance(done.size)
                 yield done, result
 
-    def _result(self, ray: Any, task: Any, shard: Shard) -> NDArray[np.float32]:
-        errors = ray.exceptions
-        try:
-            result: NDArray[np.float32] = ray.get(task)
-        except errors.RayTaskError as error:
-            raise error.cause from None
-        except (errors.WorkerCrashedError, errors.OutOfMemoryError) as error:
-            raise ChildProcessError(
-                f"{shard}: {ATTEMPTS} workers died of it ({error}); what was finished is in the "
-                "cache"
-            ) from error
-        return result
-
-    def __enter__(self) -> _RayWorkers:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Cancel the tasks that still run."""
         for task in self._running:
             with contextlib.suppress(Exception):  # the cluster may be gone
-                self._cluster.connected().cancel(task, force=True)
+                self._cluster.connect().cancel(task, force=True)
         self._running = {}
+
+
+def _portable(shard: Shard) -> Shard:
+    """The shard with arrays in place of files of the cache, which workers may not see."""
+    if not isinstance(shard, MatchShard):
+        return shard
+    return replace(shard, queries=array_of(shard.queries), references=array_of(shard.references))
+
+
+def _result(ray: Any, task: Any, shard: Shard) -> NDArray[np.float32]:
+    try:
+        result: NDArray[np.float32] = ray.get(task)
+    except ray.exceptions.RayTaskError as error:
+        raise error.cause from None
+    except (ray.exceptions.WorkerCrashedError, ray.exceptions.OutOfMemoryError) as error:
+        raise ChildProcessError(
+            f"{shard}: {ATTEMPTS} workers died of it ({error}); what was finished is in the cache"
+        ) from error
+    return result
 
 
 def _bootstrap() -> Callable[[list[str], bytes, bytes], Any]:
@@ -150,13 +162,10 @@ def _bootstrap() -> Callable[[list[str], bytes, bytes], Any]:
     return run
 
 
-_last: tuple[bytes, Technique] | None = None  # in a worker: the technique it has loaded
+_technique = lru_cache(1)(loaded)  # in a worker: the one of the last shard
 
 
 def run_shard(technique: bytes, shard: bytes) -> NDArray[np.float32]:
-    """What a worker does; it keeps the technique for the next shard."""
-    global _last
-    if _last is None or _last[0] != technique:
-        _last = technique, loaded(technique)
+    """A shard's result in a worker."""
     work: Shard = pickle.loads(shard)
-    return work.run(_last[1])
+    return work.run(_technique(technique))

@@ -1,4 +1,4 @@
-"""What one run of a technique costs on this machine."""
+"""The cost of one run of a technique on this machine."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from amusic_gym.extraction.blocks import Images, aligned, describe_one, match_one
+from amusic_gym.extraction.blocks import aligned, describe_one, match_one
 from amusic_gym.extraction.cache import Cache
-from amusic_gym.extraction.describe import Plan, describe
-from amusic_gym.extraction.executors import Workers
+from amusic_gym.extraction.describe import ExtractionPlan, describe
 from amusic_gym.extraction.progress import Progress
+from amusic_gym.extraction.shards import Workers
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
 from amusic_gym.utils.threads import one_thread
 
 QUERIES = 5
-"""Frames that are timed, after one to warm up."""
+"""Query images that are timed, after one run to warm up."""
 
 REPEATS = 3
-"""How often each is timed, in rounds over all of them."""
+"""Rounds over these images."""
 
 STEADY = 0.25
 """Spread up to which a measurement is believed without a warning."""
@@ -37,18 +37,17 @@ BLOCKS = 3
 
 
 class Cost(NamedTuple):
-    """What a run costs.
+    """Cost of a run.
 
     Attributes:
         seconds: the median.
-        spread: share of it by which the middle half of the runs of a frame differ from its median.
+        spread: share of it by which the middle half of the runs of an image differ from its median.
     """
 
     seconds: float
     spread: float
 
     def __str__(self) -> str:
-        """For a person."""
         return f"{self.seconds:.4g} s per run (±{self.spread:.0%})"
 
     def warn(self, technique: str) -> None:
@@ -87,33 +86,26 @@ def measure_cost(
         blocks to R references.
     """
     scale = references / sum(len(block) for block in blocks)
+
+    def run(image: Image) -> float:
+        begun = time.perf_counter()
+        query = describe_one(technique, image, query=True)
+        described = time.perf_counter()
+        for block in blocks:
+            match_one(technique, query, block)
+        return described - begun + scale * (time.perf_counter() - described)
+
     with one_thread():
-        _time_one(technique, images[0], blocks, scale)
-        return cost_of(
-            [
-                [_time_one(technique, image, blocks, scale) for image in images]
-                for _ in range(REPEATS)
-            ]
-        )
-
-
-def _time_one(
-    technique: Technique, image: Image, blocks: Sequence[Descriptor], scale: float
-) -> float:
-    begun = time.perf_counter()
-    query = describe_one(technique, image, query=True)
-    described = time.perf_counter()
-    for block in blocks:
-        match_one(technique, query, block)
-    return described - begun + scale * (time.perf_counter() - described)
+        run(images[0])
+        return cost_of([[run(image) for image in images] for _ in range(REPEATS)])
 
 
 def known_cost(
-    plan: Plan, cache: Cache, workers: Workers, progress: Progress, *, again: bool
+    plan: ExtractionPlan, cache: Cache, workers: Workers, progress: Progress, *, again: bool
 ) -> Cost:
-    """Measured cost, or that which the cache remembers of this machine; warned of where unsteady.
+    """Cost from the cache, where it was measured on this machine before, or measured now.
 
-    The same command gives the same bank twice, and does not measure while something else runs.
+    So the same command gives the same bank twice. An unsteady measurement is warned of.
 
     Args:
         plan: of the technique.
@@ -122,9 +114,8 @@ def known_cost(
         progress: for these.
         again: measure even if there is a measurement.
     """
-    chosen = _spread(range(len(plan.references)), BLOCKS)
-    sample = _sample(plan.queries)
-    references = sum(len(images) for images in plan.references)
+    references = len(plan.reference)
+    sample = plan.query.take(_spread(len(plan.query), QUERIES))
     key = plan.key(
         "seconds",
         images=sample.keys,
@@ -134,6 +125,7 @@ def known_cost(
     )
     known = None if again else cache.get(key)
     if known is None:
+        chosen = _spread(len(plan.references), BLOCKS)
         stored = describe(plan, cache, workers, progress, query=False, only=chosen)
         measured = measure_cost(
             plan.technique,
@@ -148,14 +140,6 @@ def known_cost(
     return cost
 
 
-def _sample(queries: Sequence[Images]) -> Images:
-    paths = tuple(path for images in queries for path in images.paths)
-    digests = tuple(digest for images in queries for digest in images.digests)
-    changes = tuple(change for images in queries for change in images.changes)
-    return Images(paths, digests, changes).take(_spread(range(len(paths)), QUERIES))
-
-
-def _spread(items: Sequence[int], count: int) -> list[int]:
-    """Up to ``count`` of the items, evenly spread, the first and the last among them."""
-    at = np.linspace(0, len(items) - 1, min(count, len(items)))
-    return [items[round(index)] for index in at.tolist()]
+def _spread(size: int, count: int) -> list[int]:
+    """Up to ``count`` indices below ``size``, evenly spread, the first and the last among them."""
+    return [round(at) for at in np.linspace(0, size - 1, min(count, size)).tolist()]

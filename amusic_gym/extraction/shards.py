@@ -1,11 +1,11 @@
-"""Shards: the pieces of work that workers do. Pure functions of a technique and their fields."""
+"""Shards, the pieces of work of an extraction, and what runs them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeAlias, TypeVar
+from typing import Protocol, Self, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +18,14 @@ from amusic_gym.extraction.blocks import (
     describe_one,
     match_one,
 )
-from amusic_gym.techniques.protocol import Descriptor, Technique
+from amusic_gym.techniques.protocol import Technique
 from amusic_gym.utils.threads import one_thread
 
 ATTEMPTS = 3
 """How often a shard is tried whose worker dies."""
 
 Advance: TypeAlias = Callable[[int], object]
-"""Called with an amount of work that was done."""
+"""Progress callback: called with the amount of work done since the last call."""
 
 
 def nothing(done: int) -> None:
@@ -33,33 +33,69 @@ def nothing(done: int) -> None:
 
 
 class Shard(Protocol):
-    """A piece of work: the same result in any process, in any order."""
+    """A piece of work: the same result in any process, in any order.
+
+    Attributes:
+        key: of the result in the cache.
+        size: amount of work, for the progress bar.
+    """
 
     @property
-    def key(self) -> str:
-        """Under which the cache keeps the result."""
-        ...
+    def key(self) -> str: ...  # noqa: D102
 
     @property
-    def size(self) -> int:
-        """How much work it is, for the progress bar."""
-        ...
+    def size(self) -> int: ...  # noqa: D102
 
     def run(self, technique: Technique, advance: Advance = nothing) -> NDArray[np.float32]:
-        """Do the work, and tell of every bit of ``size`` that is done."""
-        ...
-
-    def portable(self) -> Shard:
-        """The same shard, holding arrays in place of files of the cache."""
+        """The result; ``advance`` is called with all of ``size``, bit by bit."""
         ...
 
 
 S = TypeVar("S", bound=Shard)
 
 
+class _Context:
+    """A context that ends with `close`."""
+
+    def close(self) -> None:
+        """End what was started."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class Workers(_Context):
+    """Workers that hold one technique."""
+
+    def run(
+        self, shards: Iterable[S], advance: Advance = nothing
+    ) -> Iterator[tuple[S, NDArray[np.float32]]]:
+        """Run all ``shards``, taken as workers become free; yield each with its result, unordered.
+
+        ``advance`` is called image by image in this process, elsewhere shard by shard. An error
+        inside a shard is raised here as it is; a shard whose worker died is run `ATTEMPTS` times
+        in all.
+
+        Raises:
+            ChildProcessError: when a shard's worker died each time.
+        """
+        raise NotImplementedError
+
+
+class Executor(_Context):
+    """A place to run shards."""
+
+    def workers(self, technique: Technique) -> Workers:
+        """Workers for the shards of one technique."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
 class DescribeShard:
-    """Describe one block of images; the result is (B, ...).
+    """Description of one block of images; the result is (B, ...).
 
     Attributes:
         key: of the result.
@@ -79,10 +115,6 @@ class DescribeShard:
     def __str__(self) -> str:
         return f"describing {self.images.paths[0]} to {self.images.paths[-1].name}"
 
-    def portable(self) -> DescribeShard:
-        """Itself: images are read where the work is done."""
-        return self
-
     def run(self, technique: Technique, advance: Advance = nothing) -> NDArray[np.float32]:
         """Read and describe the images one after the other.
 
@@ -90,30 +122,25 @@ class DescribeShard:
             ValueError: for an image that cannot be read or described, with its path; for one that
                 was changed since the run began.
         """
+        block = np.empty((0, 0), np.float32)  # as large as the first image's descriptor tells
         with one_thread():
-            first = self._describe(technique, 0)
-            block = np.empty((len(self.images), *first.shape), np.float32)
-            block[0] = first
-            advance(1)
-            for at in range(1, len(self.images)):
-                descriptor = self._describe(technique, at)
-                path = self.images.paths[at]
-                check_shape(technique, descriptor.shape, first.shape, path)
+            for at, path in enumerate(self.images.paths):
+                image = self.images.read(at)
+                try:
+                    descriptor = describe_one(technique, image, query=self.query)
+                except ValueError as error:
+                    raise _at(path, error) from error.__cause__ or error
+                if at == 0:
+                    block = np.empty((len(self.images), *descriptor.shape), np.float32)
+                check_shape(technique, descriptor.shape, block.shape[1:], path)
                 block[at] = descriptor
                 advance(1)
         return block
 
-    def _describe(self, technique: Technique, at: int) -> Descriptor:
-        image = self.images.read(at)
-        try:
-            return describe_one(technique, image, query=self.query)
-        except ValueError as error:
-            raise _at(self.images.paths[at], error) from error.__cause__ or error
-
 
 @dataclass(frozen=True)
 class MatchShard:
-    """Match one block of queries with one block of the map; the result is (queries, references).
+    """Matching of a block of queries with a block of the map; the result is (queries, references).
 
     Attributes:
         key: of the result.
@@ -135,17 +162,13 @@ class MatchShard:
     def __str__(self) -> str:
         return f"matching {self.queries.shape[0]} queries × {self.references.shape[0]} references"
 
-    def portable(self) -> MatchShard:
-        """The same with both arrays in it."""
-        return replace(self, queries=_array(self.queries), references=_array(self.references))
-
     def run(self, technique: Technique, advance: Advance = nothing) -> NDArray[np.float32]:
         """Match the queries one by one, each as :func:`match_one` does it live.
 
         Raises:
             ValueError: for a query that cannot be matched, with its path.
         """
-        queries, block = _array(self.queries), aligned(_array(self.references))
+        queries, block = array_of(self.queries), aligned(array_of(self.references))
         scores = np.empty((len(queries), len(block)), np.float32)
         with one_thread():
             for row, query, path in zip(scores, queries, self.paths, strict=True):
@@ -157,10 +180,11 @@ class MatchShard:
         return scores
 
 
-def _at(path: Path, error: ValueError) -> ValueError:
-    """``error``, which says at which image it was."""
-    return error if str(path) in str(error) else ValueError(f"{path}: {error}")
-
-
-def _array(values: Stored | NDArray[np.float32]) -> NDArray[np.float32]:
+def array_of(values: Stored | NDArray[np.float32]) -> NDArray[np.float32]:
+    """The array itself."""
     return values.array() if isinstance(values, Stored) else values
+
+
+def _at(path: Path, error: ValueError) -> ValueError:
+    """``error`` with the path of its image."""
+    return error if str(path) in str(error) else ValueError(f"{path}: {error}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import pickle
+import sys
 import warnings
 from collections.abc import Callable
 from functools import cache
@@ -38,12 +39,15 @@ class _Cache(_FunctionCache):  # type: ignore[misc]
         self._cache_file._source_stamp = self._cache_file._source_stamp, digest_of(*files)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        found = None
         try:
-            return super().load_overload(sig, target_context)
+            found = super().load_overload(sig, target_context)
         except Exception:  # whatever a pickle that is cut short or overwritten may raise
             with contextlib.suppress(OSError):
                 self.flush()
-            return None
+        if found is None:
+            _announce()
+        return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
         try:
@@ -62,6 +66,13 @@ def _cached(function: Function, **options: bool) -> Function:
         _warn_of_no_cache()
     compiled_function = dispatcher
     return compiled_function
+
+
+@cache
+def _announce() -> None:
+    """Say on a terminal why nothing happens for some seconds."""
+    if sys.stderr.isatty():
+        print("amusic_gym: compiling kernels, once; this takes 10 to 30 seconds", file=sys.stderr)
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Tables in memory that compiled functions read by name: many arrays behind one address.
+"""Records and tables in memory that compiled functions read by name; each field is listed once.
 
 A named tuple of twenty arrays is some two hundred arguments to a compiled function and to every
 one that it calls; taking them apart costs time at every call from Python, and passing them on most
@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self, get_type_hints
 
 import numpy as np
 from numba import types
@@ -30,9 +31,48 @@ _arrays: Any = importlib.import_module("numba.np.arrayobj")
 WORD = 8
 """Bytes of an entry; a number takes one, an array 1 + 2·ndim: address, shape, strides."""
 
-NUMBERS: dict[type, types.Type] = {int: types.int64, float: types.float64, bool: types.boolean}
+ROUTES = "routes"
+"""Name of the size that counts the routes of a batch."""
 
-Field = Any  # int, float, bool, (dtype, dimensions) of an array, or another Layout
+
+class Record:
+    """Fields of one entry of a structured array: ``int``, ``float`` or ``bool``, or (dtype, size).
+
+    A subclass lists the fields once, as annotations; ``dtype`` is made from them. Kernels get
+    entries of such arrays and are annotated with the subclass.
+    """
+
+    dtype: ClassVar[np.dtype[np.void]]
+
+    def __init_subclass__(cls) -> None:
+        kinds: dict[Any, Any] = {int: np.int64, float: np.float64, bool: np.bool_}
+        fields: list[Any] = []
+        for name, kind in get_type_hints(cls, include_extras=True).items():
+            if name != "dtype":
+                several = getattr(kind, "__metadata__", None)  # of Annotated[..., dtype, size]
+                fields.append((name, *several) if several else (name, kinds[kind]))
+        cls.dtype = np.dtype(fields, align=True)
+
+
+@dataclass(frozen=True)
+class Column:
+    """An array of a table.
+
+    Attributes:
+        dtype: of its entries.
+        sizes: names of its dimensions' sizes.
+        kept: whether its content goes on when the table gets more room; else it is scratch.
+    """
+
+    dtype: np.dtype[Any]
+    sizes: tuple[str, ...]
+    kept: bool
+
+
+def array(kind: Any, *sizes: str, kept: bool = True) -> Any:
+    """An array of a :class:`Table`: see :class:`Column`; ``kind`` may be a :class:`Record`."""
+    record = isinstance(kind, type) and issubclass(kind, Record)
+    return Column(np.dtype(kind.dtype if record else kind), sizes, kept)
 
 
 class Layout(types.Type):
@@ -40,50 +80,111 @@ class Layout(types.Type):
 
     Args:
         name: distinguishes it from other layouts in compiled code.
-        fields: ``int``, ``float`` or ``bool`` for a number, ``(dtype, dimensions)`` for an array,
-            a layout for a table inside this one.
+        kinds: Numba's type of each entry, or another layout for a table inside this one.
     """
 
-    def __init__(self, name: str, fields: Mapping[str, Field]) -> None:
+    def __init__(self, name: str, kinds: Mapping[str, Any]) -> None:
         super().__init__(name=f"Layout({name})")
-        self.kinds: dict[str, types.Type] = {}
+        self.kinds = dict(kinds)
         self.offsets: dict[str, int] = {}
         self.words = 0
-        for field, given in fields.items():
-            kind: Any = NUMBERS.get(given, given) if isinstance(given, type) else given
-            if isinstance(given, tuple):
-                dtype, dimensions = given
-                kind = types.Array(numpy_support.from_dtype(np.dtype(dtype)), dimensions, "C")
-            self.kinds[field], self.offsets[field] = kind, self.words
+        for field, kind in self.kinds.items():
+            self.offsets[field] = self.words
             self.words += _words_of(kind)
 
     def write(self, values: Any) -> NDArray[np.int64]:
-        """A table of the values: attributes of the layout's names.
-
-        The table knows addresses only: whoever keeps it keeps ``values``, too.
-        """
-        table = np.zeros(self.words, np.int64)
+        """The words of a table: the numbers, and the addresses and shapes of the arrays."""
+        words = np.zeros(self.words, np.int64)
         for field, kind in self.kinds.items():
             value, start = getattr(values, field), self.offsets[field]
             if isinstance(kind, Layout):
-                table[start : start + kind.words] = kind.write(value)
+                words[start : start + kind.words] = kind.write(value)
             elif isinstance(kind, types.Array):
                 assert value.flags.c_contiguous
                 assert value.ndim == kind.ndim
                 assert numpy_support.from_dtype(value.dtype) == kind.dtype
                 entries = [value.ctypes.data, *value.shape, *value.strides]
-                table[start : start + len(entries)] = entries
+                words[start : start + len(entries)] = entries
             elif kind is types.float64:
-                table[start : start + 1].view(np.float64)[0] = value
+                words[start : start + 1].view(np.float64)[0] = value
             else:
-                table[start] = value
-        return table
+                words[start] = value
+        return words
 
 
-def _words_of(kind: types.Type) -> int:
+def _words_of(kind: Any) -> int:
     if isinstance(kind, Layout):
         return kind.words
     return 1 + 2 * kind.ndim if isinstance(kind, types.Array) else 1
+
+
+class Table:
+    """Arrays and numbers that compiled functions read by name.
+
+    A subclass lists the fields once: numbers as annotations ``int``, ``float`` or ``bool``, tables
+    inside it by their class, arrays by :func:`array`. The layout that kernels see, allocation,
+    growth and copying are derived from that.
+
+    Args:
+        sizes: name of a size → number; of every size that an array has.
+        given: the numbers and inner tables, and arrays that are not to be allocated as zeros.
+    """
+
+    layout: ClassVar[Layout]
+    columns: ClassVar[dict[str, Column]]
+
+    def __init_subclass__(cls) -> None:
+        numbers: dict[Any, Any] = {int: types.int64, float: types.float64, bool: types.boolean}
+        kinds: dict[str, Any] = {}
+        cls.columns = {}
+        for name, kind in get_type_hints(cls).items():
+            column = getattr(cls, name, None)
+            if isinstance(column, Column):
+                cls.columns[name] = column
+                entry = numpy_support.from_dtype(column.dtype)
+                kinds[name] = types.Array(entry, len(column.sizes), "C")
+            elif name not in ("layout", "columns", "sizes"):
+                kinds[name] = numbers[kind] if kind in numbers else kind.layout
+        cls.layout = Layout(cls.__qualname__, kinds)
+
+    def __init__(self, sizes: Mapping[str, int], **given: Any) -> None:
+        self.sizes = dict(sizes)
+        for name, column in self.columns.items():
+            if name not in given:
+                setattr(self, name, np.zeros([sizes[size] for size in column.sizes], column.dtype))
+        for name, value in given.items():
+            setattr(self, name, value)
+
+    def grown(self, sizes: Mapping[str, int], **given: Any) -> Self:
+        """The same with more room; what is kept is copied into the corner of the new arrays."""
+        twin = type(self)(sizes, **{**self._others(), **given})
+        for name, column in self.columns.items():
+            old = getattr(self, name)
+            if column.kept:
+                getattr(twin, name)[tuple(slice(0, size) for size in old.shape)] = old
+        return twin
+
+    def repeated(self, copies: int, **given: Any) -> Self:
+        """The same for ``copies`` times as many routes: each stands so often in a row."""
+        sizes = {**self.sizes, ROUTES: copies * self.sizes[ROUTES]}
+        twin = type(self)(sizes, **{**self._others(), **given})
+        for name, column in self.columns.items():
+            values = getattr(self, name)
+            if ROUTES in column.sizes:
+                values = np.repeat(values, copies, column.sizes.index(ROUTES))
+            getattr(twin, name)[...] = values
+        return twin
+
+    def _others(self) -> dict[str, Any]:
+        """All fields but the arrays."""
+        return {name: getattr(self, name) for name in self.layout.kinds if name not in self.columns}
+
+    def write(self) -> NDArray[np.int64]:
+        """The words that kernels read, by the address of their memory; they hold addresses only.
+
+        To be written again when an array is replaced; whoever keeps them keeps the table, too.
+        """
+        return self.layout.write(self)
 
 
 @register_model(Layout)
@@ -185,8 +286,9 @@ def _part(typing_context: Any, values: Any, start: Any, size: Any) -> Any:
 part: Any = intrinsic(_part)
 
 
-def reader(layout: Layout) -> Any:
-    """Compiled function that takes the address of a table and gives the table."""
+def reader(table: type[Table]) -> Any:
+    """Compiled function that takes the address of a table's words and gives the table."""
+    layout = table.layout
 
     def at(typing_context: Any, address: Any) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

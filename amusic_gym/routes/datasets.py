@@ -40,7 +40,7 @@ class Dataset:
 
 
 @dataclass(frozen=True)
-class Route:
+class LoadedDataset:
     """A data set that was found on disk: what extraction needs, and what is true.
 
     Attributes:
@@ -121,7 +121,7 @@ def load_dataset(
     images: int | None = None,
     first: int | None = None,
     step: int = 1,
-) -> Route:
+) -> LoadedDataset:
     """The two traverses of a data set, checked, with what is true.
 
     A folder must hold exactly as many images as the paper used, because the paper does not say
@@ -168,7 +168,7 @@ def load_dataset(
         traverses.append(found)
     reference, query = traverses
     truth = by_index(reference, query, dataset.tolerance)
-    return Route(name, reference, query, truth, dataset.tolerance)
+    return LoadedDataset(name, reference, query, truth, dataset.tolerance)
 
 
 def _needs(name: str, root: str | os.PathLike[str], images: int) -> str:

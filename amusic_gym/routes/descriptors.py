@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.routes.world import World
+from amusic_gym.routes.route_model import RouteModel
 
 Floats = NDArray[np.float32]
 
@@ -20,8 +20,8 @@ _AGES = np.abs(np.arange(BLOCK)[:, None] - np.arange(BLOCK))
 
 
 @dataclass(frozen=True)
-class Look:
-    """How one technique sees the world: one draw from the ranges of `Simulation`."""
+class TechniqueModel:
+    """How one technique sees a route: one draw from the ranges of `Simulation`."""
 
     dimensions: int  # of its descriptors; more make the true place stand out further
     trend: float  # share of a descriptor's variance that changes slowly along the map ...
@@ -71,8 +71,8 @@ def smooth(
 
 def write_scores(
     rng: np.random.Generator,
-    world: World,
-    look: Look,
+    route: RouteModel,
+    model: TechniqueModel,
     technique: int,
     out: Floats,
 ) -> None:
@@ -80,53 +80,53 @@ def write_scores(
 
     Args:
         rng: the source of chance.
-        world: what all techniques share, on Q frames, R places and C conditions.
-        look: how this one sees it.
-        technique: its number in the world.
+        route: what all techniques share, on Q frames, R places and C conditions.
+        model: how this one sees it.
+        technique: its number on the route.
         out: (Q, R) float32, written to.
     """
     queries, references = out.shape
-    size, competence = look.dimensions, world.competence[technique]
-    places = smooth(rng, references, size, look.smoothness, look.grain)
-    if look.trend:
-        places = _mix(places, smooth(rng, references, size, look.trend_length), look.trend)
-    alias = np.where(world.source == np.arange(references), 0.0, look.aliasing)
-    places = _mix(places, places[world.source], np.square(alias)[:, None])
-    noise = smooth(rng, queries, size, look.noise_memory, look.noise_grain)
+    size, competence = model.dimensions, route.competence[technique]
+    places = smooth(rng, references, size, model.smoothness, model.grain)
+    if model.trend:
+        places = _mix(places, smooth(rng, references, size, model.trend_length), model.trend)
+    alias = np.where(route.source == np.arange(references), 0.0, model.aliasing)
+    places = _mix(places, places[route.source], np.square(alias)[:, None])
+    noise = smooth(rng, queries, size, model.noise_memory, model.noise_grain)
     common = _unit(rng.standard_normal(size, dtype=np.float32)) * math.sqrt(size)
     turn = rng.standard_normal((competence.size, size), dtype=np.float32)
     lean = rng.uniform(0.0, MOST_LEAN, (competence.size, 1)).astype(np.float32)
-    if look.lasting:
+    if model.lasting:
         always = rng.standard_normal(size, dtype=np.float32)
-        turn, lean = _mix(turn, always, look.lasting), _mix(lean, lean[:1], look.lasting)
-    shift = (look.shift * math.sqrt(size)) * _unit(turn + lean * common)  # (C, D)
-    if world.decoy is not None and world.lure is not None:
-        lure = np.square(world.lure[technique])[:, None]  # (Q, 1)
-        noise = _mix(noise, _between(places, world.decoy[technique]), lure)
-    level = competence[world.condition][:, None]  # (Q, 1)
-    met = _between(places, world.seen)
-    if world.leaves is not None:
-        off = queries - world.leaves
+        turn, lean = _mix(turn, always, model.lasting), _mix(lean, lean[:1], model.lasting)
+    shift = (model.shift * math.sqrt(size)) * _unit(turn + lean * common)  # (C, D)
+    if route.decoy is not None and route.lure is not None:
+        lure = np.square(route.lure[technique])[:, None]  # (Q, 1)
+        noise = _mix(noise, _between(places, route.decoy[technique]), lure)
+    level = competence[route.condition][:, None]  # (Q, 1)
+    met = _between(places, route.seen)
+    if route.leaves is not None:
+        off = queries - route.leaves
         met = np.concatenate(
-            [met[: world.leaves], smooth(rng, off, size, look.smoothness, look.grain)]
+            [met[: route.leaves], smooth(rng, off, size, model.smoothness, model.grain)]
         )
     seen = _mix(noise, met, np.square(level))
-    seen += shift[world.condition]
-    places += (look.base + look.bland * world.bland)[:, None] * common
-    _compare(_unit(seen), _unit(places), look, out)
+    seen += shift[route.condition]
+    places += (model.base + model.bland * route.bland)[:, None] * common
+    _compare(_unit(seen), _unit(places), model, out)
 
 
-def _compare(seen: Floats, places: Floats, look: Look, out: Floats) -> None:
+def _compare(seen: Floats, places: Floats, model: TechniqueModel, out: Floats) -> None:
     """Cosines, bent and scaled into `out` (Q, R); monotone, so no ranking changes."""
-    gain = math.sqrt(look.dimensions)  # about one standard deviation of a random match
-    if abs(look.bend) < MIN_BEND:
-        np.matmul(seen * np.float32(look.scale * gain), places.T, out=out)
-        out += look.offset
+    gain = math.sqrt(model.dimensions)  # about one standard deviation of a random match
+    if abs(model.bend) < MIN_BEND:
+        np.matmul(seen * np.float32(model.scale * gain), places.T, out=out)
+        out += model.offset
         return
-    np.matmul(seen * np.float32(look.bend * gain), places.T, out=out)
+    np.matmul(seen * np.float32(model.bend * gain), places.T, out=out)
     np.exp(out, out=out)  # (exp(bend x) - 1) / bend; NumPy's expm1 is seven times slower
-    out *= look.scale / look.bend
-    out += look.offset - look.scale / look.bend
+    out *= model.scale / model.bend
+    out += model.offset - model.scale / model.bend
 
 
 def _mix(first: Floats, second: Floats, share: float | NDArray[np.float64]) -> Floats:

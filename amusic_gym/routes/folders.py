@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import filecmp
 import operator
 import os
 import warnings
@@ -10,6 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from amusic_gym.routes.conditions import Change
 from amusic_gym.routes.images import (
@@ -25,7 +28,6 @@ from amusic_gym.utils.checks import whole
 from amusic_gym.utils.storage import open_file
 
 _NAMED = 5  # frames that a warning names before it only counts
-_CHUNK = 1 << 16  # bytes of two files that are compared at a time
 
 
 @dataclass(frozen=True, init=False)
@@ -92,7 +94,15 @@ class ImageFolder:
         taken = _take(found, folder, first, step, count)
         paths = tuple(path for path, _ in taken)
         repeats = _repeats(taken)
-        self._set(folder, paths, (len(paths),), repeats)
+        vars(self).update(
+            path=folder,
+            paths=paths,
+            parts=(len(paths),),
+            repeats=repeats,
+            changes=(),
+            complete=None,
+            kept=(),
+        )
         doubts = [*_apart(paths, folder, unread), *_doubts(paths, repeats, order is None)]
         for sentence in doubts:
             warnings.warn(f"{folder}: {sentence}", UserWarning, stacklevel=2)
@@ -117,10 +127,13 @@ class ImageFolder:
             changes += part.changes or [None] * len(part)
             repeats += [(a + len(paths), b + len(paths)) for a, b in part.repeats]
             paths += [Path(os.path.abspath(path)) for path in part.paths]
-        joined = object.__new__(cls)
-        lengths = tuple(length for part in parts for length in part.parts)
-        joined._set(Path(above), tuple(paths), lengths, tuple(repeats), _or_none(changes))
-        return joined
+        return parts[0]._with(
+            path=Path(above),
+            paths=tuple(paths),
+            parts=tuple(length for part in parts for length in part.parts),
+            repeats=tuple(repeats),
+            changes=_or_none(changes),
+        )
 
     def under(self, changes: Sequence[Change | None]) -> ImageFolder:
         """The same traverse, each image changed once it is read; the files stay as they are.
@@ -133,10 +146,7 @@ class ImageFolder:
         """
         if len(changes) != len(self):
             raise ValueError(f"{len(changes)} changes for {len(self)} images; give one for each")
-        changed = object.__new__(type(self))
-        how = _or_none(changes)
-        changed._set(self.path, self.paths, self.parts, self.repeats, how, self.complete, self.kept)
-        return changed
+        return self._with(changes=_or_none(changes))
 
     def damaged(self) -> dict[int, str]:
         """Index of each image that cannot be used -> why; reads every file and computes no pixel.
@@ -171,35 +181,19 @@ class ImageFolder:
             raise ValueError(f"{self.path}: no image is left to use, or some were left out before")
         place = {at: number for number, at in enumerate(kept)}
         runs = [[place[at] for at in range(a, b + 1) if at in place] for a, b in self.repeats]
-        rest = object.__new__(type(self))
-        rest._set(
-            self.path,
-            tuple(self.paths[at] for at in kept),
-            tuple(lengths[part] for part in range(len(self.parts))),
-            tuple((run[0], run[-1]) for run in runs if len(run) > 1),
-            _or_none([self.changes[at] for at in kept]) if self.changes else (),
-            self,
-            tuple(kept),
+        return self._with(
+            paths=tuple(self.paths[at] for at in kept),
+            parts=tuple(lengths[part] for part in range(len(self.parts))),
+            repeats=tuple((run[0], run[-1]) for run in runs if len(run) > 1),
+            changes=_or_none([self.changes[at] for at in kept]) if self.changes else (),
+            complete=self,
+            kept=tuple(kept),
         )
-        return rest
 
-    def _set(
-        self,
-        path: Path,
-        paths: tuple[Path, ...],
-        parts: tuple[int, ...],
-        repeats: tuple[tuple[int, int], ...],
-        changes: tuple[Change | None, ...] = (),
-        complete: ImageFolder | None = None,
-        kept: tuple[int, ...] = (),
-    ) -> None:
-        object.__setattr__(self, "path", path)
-        object.__setattr__(self, "paths", paths)
-        object.__setattr__(self, "parts", parts)
-        object.__setattr__(self, "repeats", repeats)
-        object.__setattr__(self, "changes", changes)
-        object.__setattr__(self, "complete", complete)
-        object.__setattr__(self, "kept", kept)
+    def _with(self, **fields: Any) -> ImageFolder:
+        made = copy.copy(self)
+        vars(made).update(fields)
+        return made
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -287,20 +281,18 @@ def _listed(
     """The images of a list of names, in its order."""
     what = "order"
     if isinstance(order, str | os.PathLike):
-        what, names = os.fspath(order), []
+        what = os.fspath(order)
         with open_file(Path(order)) as file:
             lines = file.read().decode("utf-8-sig", "surrogateescape").splitlines()
-        names = [line.strip() for line in lines if line.strip() and not line.startswith("#")]
-    else:
-        names = list(order)
+        order = [line.strip() for line in lines if line.strip() and not line.startswith("#")]
     images = {path.relative_to(folder).as_posix(): (path, size) for path, size in found}
-    for name, count in Counter(names).items():
+    for name, count in Counter(order).items():
         if name not in images or count > 1:
             why = "names it twice" if count > 1 else "names it, but it is no image of the folder"
             raise ValueError(f"{folder}: {name!r}: {what} {why}; give each image's name once")
-    if not names:
+    if not order:
         raise ValueError(f"{what} names no image of {folder}; give a name on each line")
-    return [images[name] for name in names]
+    return [images[name] for name in order]
 
 
 def _look_into(directory: Path) -> tuple[list[tuple[Path, int]], list[Path], list[str]]:
@@ -312,7 +304,7 @@ def _look_into(directory: Path) -> tuple[list[tuple[Path, int]], list[Path], lis
             named_so = path.suffix.lower() in SUFFIXES
             if entry.name.startswith("."):
                 continue
-            if _is_folder(entry):
+            if os.path.isdir(entry):
                 if named_so:
                     raise ValueError(f"{path} is a folder with the name of an image; rename it")
                 inner.append(path)
@@ -321,13 +313,6 @@ def _look_into(directory: Path) -> tuple[list[tuple[Path, int]], list[Path], lis
             elif path.suffix.lower() in UNREAD_SUFFIXES:
                 others.append(entry.name)
     return images, inner, others
-
-
-def _is_folder(entry: os.DirEntry[str]) -> bool:
-    try:
-        return entry.is_dir()
-    except OSError:  # a link to itself, or to where we may not look
-        return False
 
 
 def _size(entry: os.DirEntry[str], path: Path) -> int:
@@ -363,20 +348,10 @@ def _repeats(files: Sequence[tuple[Path, int]]) -> tuple[tuple[int, int], ...]:
     """
     runs: list[tuple[int, int]] = []
     for at, ((path, size), (following, its_size)) in enumerate(pairwise(files)):
-        if size == its_size > 0 and _same_bytes(path, following):
+        if size == its_size > 0 and filecmp.cmp(path, following, shallow=False):
             begin = runs.pop()[0] if runs and runs[-1][1] == at else at
             runs.append((begin, at + 1))
     return tuple(runs)
-
-
-def _same_bytes(one: Path, other: Path) -> bool:
-    with one.open("rb", buffering=0) as first, other.open("rb", buffering=0) as second:
-        while True:
-            piece = first.read(_CHUNK)
-            if piece != second.read(_CHUNK):
-                return False
-            if not piece:
-                return True
 
 
 def _apart(paths: Sequence[Path], folder: Path, unread: Sequence[str]) -> Iterator[str]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import math
-import operator
+from typing import Any
 
 import numpy as np
 
 Range = tuple[float, float]
+
+_REAL = (int, float, np.number)
 
 
 def draw(rng: np.random.Generator, limits: Range) -> float:
@@ -20,34 +21,23 @@ def draw_integer(rng: np.random.Generator, limits: tuple[int, int]) -> int:
     return int(rng.integers(limits[0], limits[1] + 1))
 
 
-def check_number(name: str, value: float, least: float, most: float) -> None:
-    """Refuse what is no number from `least` to `most`."""
-    if not isinstance(value, (int, float, np.number)) or not least <= value <= most:
-        raise ValueError(f"{name} is {value!r}; give a number from {least:g} to {most:g}.")
+def check_limits(name: str, value: Any, default: Any, least: float, most: float) -> None:
+    """Refuse what is not of the default's kind: a number or a rising pair, within limits.
 
-
-def check_range(name: str, value: Range, least: float, most: float, integers: bool) -> None:
-    """Refuse what is no rising pair from `least` to `most`."""
-    kind = "integers" if integers else "numbers"
-    wanted = f"give two {kind} (low, high) with {least:g} <= low <= high <= {most:g}"
-    if not isinstance(value, tuple) or len(value) != 2:
-        raise ValueError(f"{name} is {value!r}; {wanted}.")
-    for end in value:
-        if integers and not _is_integer(end):
-            raise ValueError(f"{name} is {value!r}; {wanted}.")
-        if not isinstance(end, (int, float, np.number)) or not math.isfinite(end):
-            raise ValueError(f"{name} is {value!r}; {wanted}.")
-    if not least <= value[0] <= value[1] <= most:
-        raise ValueError(f"{name} is {value!r}; {wanted}.")
-
-
-def _is_integer(value: object) -> bool:
-    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-
-
-def check_integer(name: str, value: int, least: int, most: float = math.inf) -> int:
-    """The value as int; refused unless an integer from `least` to `most`."""
-    if not _is_integer(value) or not least <= value <= most:
-        bounds = f"of at least {least}" if most == math.inf else f"from {least} to {most:g}"
-        raise ValueError(f"{name} is {value!r}; give an integer {bounds}.")
-    return operator.index(value)
+    Raises:
+        ValueError: naming ``name``, the value and what to give.
+    """
+    if not isinstance(default, tuple):
+        if not isinstance(value, _REAL) or not least <= value <= most:
+            raise ValueError(f"{name} is {value!r}; give a number from {least:g} to {most:g}.")
+        return
+    integers = isinstance(default[0], int)
+    kind = (int, np.integer) if integers else _REAL
+    good = isinstance(value, tuple) and len(value) == 2
+    good = good and all(isinstance(end, kind) and not isinstance(end, bool) for end in value)
+    if not good or not least <= value[0] <= value[1] <= most or value[1] == float("inf"):
+        what = "integers" if integers else "numbers"
+        raise ValueError(
+            f"{name} is {value!r}; give two {what} (low, high) with {least:g} <= low <= high <= "
+            f"{most:g}."
+        )

@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.banks import bank_files
 from amusic_gym.banks.bank import ScoreBank, floored
 from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.routes.motion import JUMP, KIDNAPPED, PACED, walk
@@ -81,18 +80,8 @@ def retime(bank: ScoreBank, seed: int, motion: str = KIDNAPPED) -> ScoreBank:
     Raises:
         ValueError: for another seed or motion.
     """
-    frames = _frames(bank, seed, motion)
     costs, seconds = bank._given  # else a bank under other costs could not go back to its own
-    retimed = ScoreBank(
-        np.concatenate(list(_blocks(bank, frames, seed))).reshape(bank.shape),
-        bank.techniques,
-        seconds,
-        tolerance=bank.tolerance,
-        ground_truth=retimed_truth(bank.truth, frames),
-        name=_name(bank, seed, motion),
-        source=_source(bank, seed, motion),
-        costs=costs,
-    )
+    retimed = _retimed(bank, seed, motion, seconds, costs)
     return retimed if bank.costs == costs else retimed.with_costs(bank.costs)
 
 
@@ -121,20 +110,35 @@ def save_retimed(
             something other than a bank, or the very bank that is read.
         OSError: when writing fails; what was at ``path`` is still there then.
     """
-    frames = _frames(bank, seed, motion)
     path = Path(path)
     if bank.path is not None and Path(os.path.realpath(path)) == bank.path:
         raise ValueError(f"{path} is the bank to re-time, which would be lost; give another folder")
     bank.check_finite()  # a new checksum must not vouch for scores that nothing can use
-    return bank_files.write(
-        path,
-        scores=_blocks(bank, frames, seed),
+    return _retimed(bank, seed, motion, bank.seconds, bank.costs, name, path).path or path
+
+
+def _retimed(
+    bank: ScoreBank,
+    seed: int,
+    motion: str,
+    seconds: NDArray[np.float64],
+    costs: str,
+    name: str = "",
+    out: Path | None = None,
+) -> ScoreBank:
+    rng = np.random.default_rng(whole("seed", seed, 0))
+    frames = retimed_frames(bank.queries, rng, motion)
+    origin = ": ".join(text for text in (bank.name, bank.source) if text)
+    return ScoreBank.from_rows(
+        _blocks(bank, frames, seed),
+        bank.techniques,
+        seconds,
         truth=retimed_truth(bank.truth, frames),
-        techniques=list(zip(bank.techniques, bank.seconds.tolist(), strict=True)),
         tolerance=bank.tolerance,
-        name=name or _name(bank, seed, motion),
-        source=_source(bank, seed, motion),
-        costs=bank.costs,
+        name=name or f"{bank.name} {motion} {seed}".strip(),
+        source=f"re-timed ({motion}) with seed {seed}" + (f" from {origin}" if origin else ""),
+        costs=costs,
+        out=out,
     )
 
 
@@ -154,11 +158,6 @@ def retimed_truth(truth: GroundTruth, frames: NDArray[np.int64]) -> GroundTruth:
     return GroundTruth(indptr, truth.places[np.repeat(begin, count) + within], truth.references)
 
 
-def _frames(bank: ScoreBank, seed: int, motion: str) -> NDArray[np.int64]:
-    rng = np.random.default_rng(whole("seed", seed, 0))
-    return retimed_frames(bank.queries, rng, motion)
-
-
 def _blocks(bank: ScoreBank, frames: NDArray[np.int64], seed: int) -> Iterator[NDArray[np.float32]]:
     """The re-timed rows as (≤ `_BLOCK`, R) matrices, technique after technique."""
     for stored in bank.index:
@@ -170,12 +169,3 @@ def _blocks(bank: ScoreBank, frames: NDArray[np.int64], seed: int) -> Iterator[N
             noise *= NOISE * floored(rows).std(axis=1, dtype=np.float64, keepdims=True)
             rows += noise
             yield rows
-
-
-def _name(bank: ScoreBank, seed: int, motion: str) -> str:
-    return f"{bank.name} {motion} {seed}".strip()
-
-
-def _source(bank: ScoreBank, seed: int, motion: str) -> str:
-    origin = ": ".join(text for text in (bank.name, bank.source) if text)
-    return f"re-timed ({motion}) with seed {seed}" + (f" from {origin}" if origin else "")

@@ -16,14 +16,16 @@ A score is the cosine of the two, bent and scaled so that techniques have ranges
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
+from math import inf
 from string import ascii_uppercase
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.routes.descriptors import Look, smooth, write_scores
+from amusic_gym.routes.descriptors import TechniqueModel, smooth, write_scores
 from amusic_gym.routes.motion import (
     JUMP,
     KIDNAPPED,
@@ -34,63 +36,31 @@ from amusic_gym.routes.motion import (
     Motion,
     walk,
 )
-from amusic_gym.routes.ranges import (
-    Range,
-    check_integer,
-    check_number,
-    check_range,
-    draw,
-    draw_integer,
-)
+from amusic_gym.routes.ranges import Range, check_limits, draw, draw_integer
 from amusic_gym.routes.retime import retime
-from amusic_gym.routes.world import (
+from amusic_gym.routes.route_model import (
     Ints,
-    World,
+    RouteModel,
     bland_places,
     decoys,
     no_repeats,
     repeated_places,
 )
+from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import suggest
 
 TECHNIQUE_NAMES = tuple(ascii_uppercase)  # so many techniques at most
 
-# Smallest and largest value that each range of `Simulation` may contain.
-LIMITS: dict[str, Range] = {
-    "queries": (1, 100_000),
-    "techniques": (1, len(TECHNIQUE_NAMES)),
-    "conditions": (1, 1000),
-    "regime_length": (1, math.inf),
-    "map_factor": (1, 1000),
-    "ability": (0, 1),
-    "weak": (0, 1),
-    "strong": (0, 1),
-    "wander": (0, 1000),
-    "wander_memory": (0, math.inf),
-    "seconds": (1e-9, 1e9),
-    "decoy_strength": (0, 1),
-    "trend": (0, 1),
-    "trend_length": (0, math.inf),
-    "dimensions": (2, 4096),
-    "smoothness": (0, math.inf),
-    "grain": (0, 1),
-    "aliasing": (0, 1),
-    "bland": (0, 100),
-    "base": (0, 100),
-    "noise_memory": (0, math.inf),
-    "noise_grain": (0, 1),
-    "shift": (0, 100),
-    "lasting": (0, 1),
-    "bend": (-1, 1),
-    "offset": (-1e6, 1e6),
-    "scale": (1e-6, 1e6),
-}
-_SHARES = (
-    *("same_length", "ability_spread", "useless", "all_fail", "all_good", "exclusive"),
-    *("cost_follows_ability", "speed_change", "jump", "retimed", "hubs"),
-    *("decoy", "decoy_shared", "copies", "leaves"),
-)
-_INTEGERS = ("queries", "techniques", "conditions", "dimensions")
+MOST_FRAMES = 100_000
+
+
+def _within(least: float, most: float, default: Any) -> Any:
+    """A field of `Simulation`: a number, or the two ends of a range, from ``least`` to ``most``."""
+    return field(default=default, metadata={"least": least, "most": most})
+
+
+def _share(default: float) -> Any:
+    return _within(0, 1, default)
 
 
 @dataclass(frozen=True)
@@ -102,79 +72,73 @@ class Simulation:
     """
 
     # The drive
-    queries: tuple[int, int] = (100, 400)  # frames
+    queries: tuple[int, int] = _within(1, MOST_FRAMES, (100, 400))  # frames
     references: int | None = None  # places in the map; None: see the next two
-    map_factor: Range = (1.0, 2.0)  # places per frame ...
-    same_length: float = 0.5  # ... but on this share of the routes exactly as many as frames
+    map_factor: Range = _within(1, 1000, (1.0, 2.0))  # places per frame ...
+    same_length: float = _share(0.5)  # ... but on this share of the routes as many as frames
     motion: Motion = "recorded"  # see routes.motion
-    speed_change: float = SPEED_CHANGE  # paced, kidnapped: chance per frame of another speed
-    jump: float = JUMP  # kidnapped: chance per frame of a jump to any place
-    retimed: float = 0.0  # share of the routes that are re-timed: half paced, half kidnapped
+    speed_change: float = _share(SPEED_CHANGE)  # paced, kidnapped: chance per frame of a draw
+    jump: float = _share(JUMP)  # kidnapped: chance per frame of a jump to any place
+    retimed: float = _share(0.0)  # share of the routes re-timed: half paced, half kidnapped
     tolerance: int = 2  # places off that still count as true
-    wander: Range = (0.0, 1.3)  # places that images look ahead or behind, standard deviation ...
-    wander_memory: Range = (3.0, 15.0)  # ... and the frames over which that changes
+    wander: Range = _within(0, 1000, (0.0, 1.3))  # deviation of what images show ...
+    wander_memory: Range = _within(0, inf, (3.0, 15.0))  # ... and the frames over which it changes
 
     # Who is good when
-    techniques: tuple[int, int] = (4, 4)
-    conditions: tuple[int, int] = (1, 5)  # different conditions on one route
-    regime_length: Range = (40.0, 150.0)  # mean frames between changes of the condition
-    ability: Range = (0.3, 0.95)  # a technique's competence in ordinary conditions
-    ability_spread: float = 0.15  # standard deviation of competence between conditions
-    useless: float = 0.2  # chance that a technique is weak in a condition
-    weak: Range = (0.0, 0.2)  # competence where it is weak
-    strong: Range = (0.8, 0.97)  # competence where it must be good
-    all_fail: float = 0.05  # chance that a condition makes all techniques weak
-    all_good: float = 0.1  # chance that a condition makes all techniques strong
-    exclusive: float = 0.15  # share of routes on which each condition has one good technique
-    seconds: Range = (0.02, 2.0)  # cost of one run, log-uniform
-    cost_follows_ability: float = 0.3  # correlation of the ranks of cost and mean competence
-    copies: float = 0.0  # chance that a technique sees exactly what the one before it sees
-
-    leaves: float = 0.0  # share of routes that leave the map after a third or more of the frames
+    techniques: tuple[int, int] = _within(1, len(TECHNIQUE_NAMES), (4, 4))
+    conditions: tuple[int, int] = _within(1, 1000, (1, 5))  # different conditions on one route
+    regime_length: Range = _within(1, inf, (40.0, 150.0))  # mean frames of a condition
+    ability: Range = _within(0, 1, (0.3, 0.95))  # a technique's competence in ordinary conditions
+    ability_spread: float = _share(0.15)  # standard deviation of competence between conditions
+    useless: float = _share(0.2)  # chance that a technique is weak in a condition
+    weak: Range = _within(0, 1, (0.0, 0.2))  # competence where it is weak
+    strong: Range = _within(0, 1, (0.8, 0.97))  # competence where it must be good
+    all_fail: float = _share(0.05)  # chance that a condition makes all techniques weak
+    all_good: float = _share(0.1)  # chance that a condition makes all techniques strong
+    exclusive: float = _share(0.15)  # share of routes with one good technique per condition
+    seconds: Range = _within(1e-9, 1e9, (0.02, 2.0))  # cost of one run, log-uniform
+    cost_follows_ability: float = _share(0.3)  # correlation of ranks: cost, mean competence
+    copies: float = _share(0.0)  # chance that a technique sees what the one before it sees
+    leaves: float = _share(0.0)  # share of routes that leave the map after a third or more
 
     # What a route looks like
-    alias_density: float = 0.6  # repeated segments per 100 places
-    alias_length: tuple[int, int] = (8, 40)  # places
-    bland_density: float = 1.0  # hubs and voids per 100 places
-    bland_length: tuple[int, int] = (1, 12)  # places
-    hubs: float = 0.6  # share of the bland spans that attract instead of repel
-    decoy: float = 0.0  # chance that in a spell a technique takes the images for another place's
-    decoy_shared: float = 0.5  # chance that this place is the one that others take them for, too
-    decoy_strength: Range = (0.3, 0.9)  # how much of its noise then looks like that place
+    alias_density: float = _within(0, 100, 0.6)  # repeated segments per 100 places
+    alias_length: tuple[int, int] = _within(1, 1_000_000, (8, 40))  # places
+    bland_density: float = _within(0, 100, 1.0)  # hubs and voids per 100 places
+    bland_length: tuple[int, int] = _within(1, 1_000_000, (1, 12))  # places
+    hubs: float = _share(0.6)  # share of the bland spans that attract instead of repel
+    decoy: float = _share(0.0)  # chance of a technique to see another place in a spell
+    decoy_shared: float = _share(0.5)  # chance that others see the same wrong place
+    decoy_strength: Range = _within(0, 1, (0.3, 0.9))  # share of its noise that looks like it
 
-    # How techniques see it: ranges of `Look`
-    trend: Range = (0.0, 0.0)
-    trend_length: Range = (40.0, 200.0)
-    dimensions: tuple[int, int] = (12, 48)
-    smoothness: Range = (1.0, 14.0)
-    grain: Range = (0.0, 0.4)
-    aliasing: Range = (0.2, 0.95)
-    bland: Range = (0.0, 1.5)
-    base: Range = (0.3, 2.0)
-    noise_memory: Range = (2.0, 20.0)
-    noise_grain: Range = (0.0, 0.5)
-    shift: Range = (0.5, 2.0)
-    lasting: Range = (0.5, 1.0)
-    bend: Range = (-0.3, 0.45)
-    offset: Range = (0.1, 0.9)
-    scale: Range = (0.005, 0.07)
+    # How techniques see it: ranges of `TechniqueModel`
+    trend: Range = _within(0, 1, (0.0, 0.0))
+    trend_length: Range = _within(0, inf, (40.0, 200.0))
+    dimensions: tuple[int, int] = _within(2, 4096, (12, 48))
+    smoothness: Range = _within(0, inf, (1.0, 14.0))
+    grain: Range = _within(0, 1, (0.0, 0.4))
+    aliasing: Range = _within(0, 1, (0.2, 0.95))
+    bland: Range = _within(0, 100, (0.0, 1.5))
+    base: Range = _within(0, 100, (0.3, 2.0))
+    noise_memory: Range = _within(0, inf, (2.0, 20.0))
+    noise_grain: Range = _within(0, 1, (0.0, 0.5))
+    shift: Range = _within(0, 100, (0.5, 2.0))
+    lasting: Range = _within(0, 1, (0.5, 1.0))
+    bend: Range = _within(-1, 1, (-0.3, 0.45))
+    offset: Range = _within(-1e6, 1e6, (0.1, 0.9))
+    scale: Range = _within(1e-6, 1e6, (0.005, 0.07))
 
     def __post_init__(self) -> None:
         """Refuse what no route can be drawn from."""
-        for name, (least, most) in LIMITS.items():
-            check_range(name, getattr(self, name), least, most, name in _INTEGERS)
-        for name in ("alias_length", "bland_length"):
-            check_range(name, getattr(self, name), 1, 1_000_000, True)
-        for name in _SHARES:
-            check_number(name, getattr(self, name), 0.0, 1.0)
-        for name in ("alias_density", "bland_density"):
-            check_number(name, getattr(self, name), 0.0, 100.0)
-        check_integer("tolerance", self.tolerance, 0)
+        for each in fields(self):
+            if each.metadata:
+                check_limits(each.name, getattr(self, each.name), each.default, **each.metadata)
+        whole("tolerance", self.tolerance, 0)
         if self.motion not in MOTIONS:
             raise ValueError(suggest("motion", self.motion, MOTIONS))
         if self.references is None:
             return
-        check_integer("references", self.references, 1)
+        whole("references", self.references, 1)
         if self.motion == RECORDED and self.references < self.queries[1]:
             raise ValueError(
                 f"references is {self.references}, but the motion 'recorded' over "
@@ -194,11 +158,22 @@ class Simulation:
         references = self._map_length(rng, queries)
         competence, condition, spell = self._conditions(rng, techniques, queries)
         place = self._drive(rng, queries, references)
-        decoy, lure = self._decoys(rng, place, spell, references, techniques)
+        decoy = lure = None
+        if self.decoy:
+            decoy, lure = decoys(
+                rng,
+                place,
+                spell,
+                references,
+                techniques,
+                chance=self.decoy,
+                shared=self.decoy_shared,
+                strength=self.decoy_strength,
+            )
         leaves = None
         if self.leaves and rng.random() < self.leaves:
             leaves = int(rng.integers(queries // 3, queries))
-        world = World(
+        shared = RouteModel(
             place=place,
             seen=self._seen(rng, place, references),
             condition=condition,
@@ -210,11 +185,11 @@ class Simulation:
             leaves=leaves,
         )
         seconds = self._seconds(rng, competence[:, condition].mean(axis=1))
-        looks = [self._look(rng) for _ in range(techniques)]
+        models = [self._technique_model(rng) for _ in range(techniques)]
         copied = np.zeros(techniques, np.bool_)
         if self.copies:
             copied[1:] = rng.random(techniques - 1) < self.copies
-        bank = _bank(rng, world, looks, seconds, self.tolerance, name, copied)
+        bank = _bank(rng, shared, models, seconds, self.tolerance, name, copied)
         if rng.random() < self.retimed:
             seed, motion = int(rng.integers(2**31)), PACED if rng.random() < 0.5 else KIDNAPPED
             bank = retime(bank, seed, motion)
@@ -277,28 +252,6 @@ class Simulation:
         regime = np.cumsum(changes, dtype=np.int64)  # (Q,)
         return competence, no_repeats(rng, int(regime[-1]) + 1, count)[regime], regime
 
-    def _decoys(
-        self,
-        rng: np.random.Generator,
-        place: NDArray[np.float64],
-        spell: Ints,
-        references: int,
-        techniques: int,
-    ) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
-        """Decoys (T, Q) and their strengths (T, Q), None where routes have none."""
-        if not self.decoy:
-            return None, None
-        return decoys(
-            rng,
-            place,
-            spell,
-            references,
-            techniques,
-            chance=self.decoy,
-            shared=self.decoy_shared,
-            strength=self.decoy_strength,
-        )
-
     def _seconds(
         self, rng: np.random.Generator, ability: NDArray[np.float64]
     ) -> NDArray[np.float64]:
@@ -311,15 +264,15 @@ class Simulation:
         key = follow * standard + math.sqrt(1.0 - follow**2) * noise
         return np.asarray(costs[np.argsort(np.argsort(key))], dtype=np.float64)
 
-    def _look(self, rng: np.random.Generator) -> Look:
-        values: dict[str, float] = {}
-        for field in fields(Look):
-            pick = draw_integer if field.name in _INTEGERS else draw
-            if field.name.startswith("trend") and not self.trend[1]:
-                values[field.name] = 0.0
-                continue
-            values[field.name] = pick(rng, getattr(self, field.name))
-        return Look(**values)  # type: ignore[arg-type]  # `dimensions` is drawn as int
+    def _technique_model(self, rng: np.random.Generator) -> TechniqueModel:
+        values: dict[str, Any] = {}
+        for each in fields(TechniqueModel):
+            if each.name.startswith("trend") and not self.trend[1]:
+                values[each.name] = 0.0
+            else:
+                pick = draw_integer if each.name == "dimensions" else draw
+                values[each.name] = pick(rng, getattr(self, each.name))
+        return TechniqueModel(**values)
 
 
 POPULATION = Simulation(
@@ -389,8 +342,8 @@ def simulate(
     Raises:
         ValueError: an argument is out of range; the sentence says which.
     """
-    frames = check_integer("queries", queries, 1, LIMITS["queries"][1])
-    count = check_integer("techniques", techniques, 1, len(TECHNIQUE_NAMES))
+    frames = whole("queries", queries, 1, most=MOST_FRAMES)
+    count = whole("techniques", techniques, 1, most=len(TECHNIQUE_NAMES))
     ranges = replace(
         simulation or Simulation(),
         queries=(frames, frames),
@@ -429,11 +382,11 @@ def planted(
         ValueError: an argument is out of range; the sentence says which.
     """
     rng = generator(seed)
-    techniques = check_integer("techniques", techniques, 2, len(TECHNIQUE_NAMES))
-    regimes = check_integer("regimes", techniques if regimes is None else regimes, 1)
-    length = check_integer("frames_per_regime", frames_per_regime, 1)
+    techniques = whole("techniques", techniques, 2, most=len(TECHNIQUE_NAMES))
+    regimes = whole("regimes", techniques if regimes is None else regimes, 1)
+    length = whole("frames_per_regime", frames_per_regime, 1)
     frames = regimes * length
-    references = check_integer("references", references, 1)
+    references = whole("references", references, 1)
     if references < frames:
         raise ValueError(
             f"references is {references}, but {regimes} regimes of {length} frames drive past "
@@ -443,7 +396,7 @@ def planted(
     start = rng.integers(references - frames + 1)
     parts = np.arange(regimes)[:: -1 if jumps else 1]
     place = start + (parts[:, None] * length + np.arange(length)).ravel().astype(np.float64)
-    world = World(
+    shared = RouteModel(
         place=place,
         seen=place,
         condition=np.repeat(order, length),
@@ -451,13 +404,13 @@ def planted(
         source=np.arange(references),
         bland=np.zeros(references, np.float32),
     )
-    looks = [_PLANTED] * techniques
+    models = [_PLANTED] * techniques
     seconds = rng.uniform(0.95, 1.05, techniques)
-    return _bank(rng, world, looks, seconds, 2, f"planted-{seed}")
+    return _bank(rng, shared, models, seconds, 2, f"planted-{seed}")
 
 
 # Sharp and without memory: useless means useless, and the good technique is found in one frame.
-_PLANTED = Look(
+_PLANTED = TechniqueModel(
     trend=0.0,
     trend_length=1.0,
     dimensions=48,
@@ -478,13 +431,13 @@ _PLANTED = Look(
 
 def generator(seed: int) -> np.random.Generator:
     """The only source of chance here, from a non-negative integer."""
-    return np.random.default_rng(check_integer("seed", seed, 0))
+    return np.random.default_rng(whole("seed", seed, 0))
 
 
 def _bank(
     rng: np.random.Generator,
-    world: World,
-    looks: list[Look],
+    shared: RouteModel,
+    models: list[TechniqueModel],
     seconds: NDArray[np.float64],
     tolerance: int,
     name: str,
@@ -494,18 +447,18 @@ def _bank(
 
     ``copied`` (T,): the technique sees what the one before it sees.
     """
-    queries, references = world.place.size, world.source.size
-    scores = np.empty((len(looks), queries, references), np.float32)  # (T, Q, R)
-    for t, look in enumerate(looks):
+    queries, references = shared.place.size, shared.source.size
+    scores = np.empty((len(models), queries, references), np.float32)  # (T, Q, R)
+    for t, model in enumerate(models):
         if copied is not None and copied[t]:
             scores[t] = scores[t - 1]
         else:
-            write_scores(rng, world, look, t, scores[t])
-    truth = np.floor(world.place + 0.5).astype(np.int64).clip(0, references - 1)
-    truth[world.leaves if world.leaves is not None else queries :] = -1
+            write_scores(rng, shared, model, t, scores[t])
+    truth = np.floor(shared.place + 0.5).astype(np.int64).clip(0, references - 1)
+    truth[shared.leaves if shared.leaves is not None else queries :] = -1
     return ScoreBank(
         scores,
-        TECHNIQUE_NAMES[: len(looks)],
+        TECHNIQUE_NAMES[: len(models)],
         seconds,
         tolerance=tolerance,
         ground_truth=truth,

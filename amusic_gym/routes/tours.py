@@ -23,7 +23,7 @@ from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.routes.conditions import CONDITIONS, Change, Condition
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.image_truth import by_index
-from amusic_gym.routes.world import no_repeats
+from amusic_gym.routes.route_model import no_repeats
 from amusic_gym.utils import storage
 from amusic_gym.utils.checks import whole
 

@@ -83,6 +83,8 @@ class VideoFile:
             FileNotFoundError: where the file has gone.
             ValueError: where it cannot be read any more.
         """
+        import cv2
+
         if not self.path.exists():
             raise FileNotFoundError(f"{self.path} does not exist; check the name")
         if self.path.is_dir():
@@ -90,7 +92,14 @@ class VideoFile:
         _refuse_playlists(self.path)
         self.close()
         self._capture = _opened(os.fspath(self.path))
-        width, height, announced = (int(self._capture.get(what)) for what in _properties())
+        width, height, announced = (
+            int(self._capture.get(what))
+            for what in (
+                cv2.CAP_PROP_FRAME_WIDTH,
+                cv2.CAP_PROP_FRAME_HEIGHT,
+                cv2.CAP_PROP_FRAME_COUNT,
+            )
+        )
         if width * height > MAX_PIXELS:
             raise ValueError(
                 f"{self.path} has frames of {width} x {height} pixels, more than the limit of "
@@ -171,12 +180,6 @@ class VideoFile:
         if self._capture is not None:
             self._capture.release()
         self._tell()
-
-
-def _properties() -> tuple[int, int, int]:
-    import cv2
-
-    return cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_COUNT
 
 
 def _refuse_playlists(path: Path) -> None:

@@ -65,23 +65,20 @@ def make_technique(name: str, weights: str | Path | None = None) -> Technique:
     if weights is not None and not _takes_weights(factory):
         raise ValueError(f"technique {name!r} takes no weights; leave out {weights}")
     options = {} if weights is None else {"weights": weights}
-    technique: object = _built(name, factory, options)
+    try:
+        technique: object = guarded(
+            f"technique {name!r} cannot be made", factory, factory, **options
+        )
+    except ValueError as error:
+        if isinstance(error.__cause__, FileNotFoundError):  # its weights, say
+            raise error.__cause__ from None
+        raise
     if not isinstance(technique, Technique) or not isinstance(getattr(technique, "name", 0), str):
         raise ValueError(
             f"technique {name!r} is a {type(technique).__name__}; derive its class from "
             "amusic_gym.techniques.Technique and give it a name, a text"
         )
     return technique
-
-
-def _built(name: str, factory: Factory, options: dict[str, str | Path]) -> object:
-    what = f"technique {name!r} cannot be made"
-    try:
-        return guarded(what, str(getattr(factory, "__module__", "")), factory, **options)
-    except ValueError as error:
-        if isinstance(error.__cause__, FileNotFoundError):  # its weights, say
-            raise error.__cause__ from None
-        raise
 
 
 def _takes_weights(factory: Factory) -> bool:

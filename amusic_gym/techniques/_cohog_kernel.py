@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from amusic_gym.kernels.compiling import inner, without_gil
-from amusic_gym.techniques._cohog_lanes import (
+from amusic_gym.kernels.lanes import (
     LANES,
     add,
     greater,

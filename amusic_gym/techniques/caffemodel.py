@@ -1,111 +1,66 @@
-"""Arrays of a ``.caffemodel``: the protocol buffer of a Caffe network, without Caffe.
-
-Only the fields that hold weights are read (``caffe.proto``: NetParameter, LayerParameter and its
-older form, BlobProto); all else is skipped.
-"""
+"""Arrays of a ``.caffemodel``: the protocol buffer of a Caffe network, without Caffe."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-# Numbers of the fields: of NetParameter, of a layer (new and old form), of BlobProto, of BlobShape.
-LAYER, OLD_LAYER = 100, 2
-NAME, BLOBS = {LAYER: 1, OLD_LAYER: 4}, {LAYER: 7, OLD_LAYER: 6}
-OLD_SIZES, DATA, SHAPE, DOUBLE_DATA = (1, 2, 3, 4), 5, 7, 8
-DIMENSIONS = 1
-
-VARINT, EIGHT_BYTES, LENGTH, FOUR_BYTES = 0, 1, 2, 5
-PARTS = ("weight", "bias")
-
-Value = int | memoryview
+# Of caffe.proto only what holds weights; `layers` is the older form of `layer`.
+_SCHEMA = {
+    "BlobShape": "repeated int64 dim 1",
+    "BlobProto": "optional int32 num 1, optional int32 channels 2, optional int32 height 3, "
+    "optional int32 width 4, repeated float data 5, optional BlobShape shape 7, "
+    "repeated double double_data 8",
+    "LayerParameter": "optional string name 1, repeated BlobProto blobs 7",
+    "V1LayerParameter": "optional string name 4, repeated BlobProto blobs 6",
+    "NetParameter": "repeated V1LayerParameter layers 2, repeated LayerParameter layer 100",
+}
+_PACKAGE = "amusic_gym_caffe"
 
 
 def read_caffemodel(data: bytes) -> dict[str, NDArray[Any]]:
     """Weights and biases as ``layer.weight`` and ``layer.bias``.
 
     Raises:
-        ValueError: when the bytes are no such protocol buffer.
+        ValueError: for an array whose shape does not fit its values.
+        google.protobuf.message.DecodeError: when the bytes are no such protocol buffer.
     """
-    arrays: dict[str, NDArray[Any]] = {}
-    for number, value in _fields(memoryview(data)):
-        if number in NAME and isinstance(value, memoryview):
-            name, blobs = _layer(value, NAME[number], BLOBS[number])
-            arrays |= {f"{name}.{part}": blob for part, blob in zip(PARTS, blobs, strict=False)}
-    return arrays
+    network = _network().FromString(data)
+    return {
+        f"{layer.name}.{part}": _array(blob)
+        for layer in (*network.layers, *network.layer)
+        for part, blob in zip(("weight", "bias"), layer.blobs, strict=False)
+    }
 
 
-def _layer(data: memoryview, name_field: int, blobs_field: int) -> tuple[str, list[NDArray[Any]]]:
-    name, blobs = "", []
-    for number, value in _fields(data):
-        if number == name_field and isinstance(value, memoryview):
-            name = bytes(value).decode()
-        elif number == blobs_field and isinstance(value, memoryview):
-            blobs.append(_blob(value))
-    return name, blobs
+def _array(blob: Any) -> NDArray[Any]:
+    values = np.array(blob.data, "<f4")
+    if blob.double_data:
+        values = np.concatenate([values, np.array(blob.double_data, "<f8")])
+    if blob.HasField("shape"):
+        return values.reshape(list(blob.shape.dim))
+    sizes = (blob.num, blob.channels, blob.height, blob.width)  # absent ones are 0
+    return values.reshape([size or 1 for size in sizes])
 
 
-def _blob(data: memoryview) -> NDArray[Any]:
-    values: list[NDArray[Any]] = [np.empty(0, "<f4")]
-    old_sizes = [1, 1, 1, 1]
-    shape: list[int] = []
-    for number, value in _fields(data):
-        if number in (DATA, DOUBLE_DATA) and isinstance(value, memoryview):
-            values.append(np.frombuffer(value, "<f4" if number == DATA else "<f8"))
-        elif number in OLD_SIZES and isinstance(value, int):
-            old_sizes[OLD_SIZES.index(number)] = value
-        elif number == SHAPE and isinstance(value, memoryview):
-            shape = list(_dimensions(value))
-    return np.concatenate(values).reshape(shape or old_sizes)
+@cache
+def _network() -> Any:
+    """The class of the network's message."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
-
-def _dimensions(shape: memoryview) -> Iterator[int]:
-    for number, value in _fields(shape):
-        if number != DIMENSIONS:
-            continue
-        if isinstance(value, int):
-            yield value
-        else:  # packed
-            at = 0
-            while at < len(value):
-                size, at = _varint(value, at)
-                yield size
-
-
-def _fields(data: memoryview) -> Iterator[tuple[int, Value]]:
-    """Number and value of each field of a message; groups, long out of use, are refused."""
-    at = 0
-    while at < len(data):
-        key, at = _varint(data, at)
-        number, kind = key >> 3, key & 7
-        if kind == VARINT:
-            value, at = _varint(data, at)
-            yield number, value
-            continue
-        if kind == LENGTH:
-            size, at = _varint(data, at)
-        elif kind in (FOUR_BYTES, EIGHT_BYTES):
-            size = 4 if kind == FOUR_BYTES else 8
-        else:
-            raise ValueError(f"a field of kind {kind}")
-        if number == 0 or at + size > len(data):
-            raise ValueError("a field runs past the end" if number else "a field of number 0")
-        yield number, data[at : at + size]
-        at += size
-
-
-def _varint(data: memoryview, at: int) -> tuple[int, int]:
-    """A number of 7 bits per byte, and where the next field begins."""
-    value = 0
-    for shift in range(0, 64, 7):
-        if at >= len(data):
-            raise ValueError("a number runs past the end")
-        byte = data[at]
-        at += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return value, at
-    raise ValueError("a number of more than 64 bits")
+    file = descriptor_pb2.FileDescriptorProto(name=f"{_PACKAGE}.proto", package=_PACKAGE)
+    for message, described in _SCHEMA.items():
+        made = file.message_type.add(name=message)
+        for text in described.split(", "):
+            label, kind, name, number = text.split()
+            field = made.field.add(name=name, number=int(number), label=f"LABEL_{label.upper()}")
+            if kind in _SCHEMA:
+                field.type_name = f".{_PACKAGE}.{kind}"
+            else:
+                field.type = f"TYPE_{kind.upper()}"
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"{_PACKAGE}.NetParameter"))

@@ -7,8 +7,8 @@ An encoder takes a batch of prepared images and gives descriptors; what prepares
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812 (its usual name)
+from torch.nn.utils import fuse_conv_bn_eval
 
 from amusic_gym.utils.checks import whole
 
@@ -195,21 +196,15 @@ class NetVLADNetwork(nn.Module):
 
     def folded(self) -> NetVLADNetwork:
         """A copy for use: batch normalisation merged into the convolutions before it."""
-        copy = NetVLADNetwork(self.widths)
-        copy.pool.load_state_dict(self.pool.state_dict())
-        if self.whitening is not None and copy.whitening is not None:
-            copy.whitening.load_state_dict(self.whitening.state_dict())
-        targets = [layer for layer in copy.backbone if isinstance(layer, nn.Conv2d)]
-        sources = [layer for layer in self.backbone if isinstance(layer, nn.Conv2d)]
-        norms = {
-            id(conv): norm
-            for conv, norm in pairwise(self.backbone)
-            if isinstance(norm, nn.BatchNorm2d)
-        }
-        with torch.no_grad():
-            for target, source in zip(targets, sources, strict=True):
-                _copy_conv(target, source, norms.get(id(source)))
-        return copy.eval()
+        copy = deepcopy(self).eval()
+        layers: list[nn.Module] = []
+        for layer in copy.backbone:
+            if isinstance(layer, nn.BatchNorm2d):
+                layers.append(fuse_conv_bn_eval(layers.pop(), layer))  # type: ignore[type-var]
+            else:
+                layers.append(layer)
+        copy.backbone = nn.Sequential(*layers)
+        return copy
 
 
 def load_layers(network: Network, layer: Callable[..., NDArray[np.float32]]) -> Network:
@@ -227,14 +222,3 @@ def load_layers(network: Network, layer: Callable[..., NDArray[np.float32]]) -> 
     # Colour channels innermost: PyTorch pools several times faster then.
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return network.requires_grad_(False).eval()
-
-
-def _copy_conv(target: nn.Conv2d, source: nn.Conv2d, norm: nn.BatchNorm2d | None) -> None:
-    target.load_state_dict(source.state_dict())
-    if norm is not None:
-        assert target.bias is not None
-        assert norm.running_var is not None
-        assert norm.running_mean is not None
-        scale = norm.weight / torch.sqrt(norm.running_var + norm.eps)
-        target.weight.mul_(scale[:, None, None, None])
-        target.bias.sub_(norm.running_mean).mul_(scale).add_(norm.bias)

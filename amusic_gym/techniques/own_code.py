@@ -28,14 +28,16 @@ def is_local(file: str) -> bool:
     )
 
 
-def guarded(what: str, module: str, call: Callable[P, R], *given: P.args, **options: P.kwargs) -> R:
+def guarded(
+    what: str, owner: object, call: Callable[P, R], *given: P.args, **options: P.kwargs
+) -> R:
     """``call(*given, **options)``; what a technique's code raises becomes a ValueError.
 
     The techniques that ship refuse with sentences of their own, which stay as they are.
 
     Args:
         what: the beginning of the sentence, say ``technique 'X'``.
-        module: of the technique's class.
+        owner: the technique, its class or its factory.
         call: what to call.
         given: its arguments.
         options: its named arguments.
@@ -47,6 +49,7 @@ def guarded(what: str, module: str, call: Callable[P, R], *given: P.args, **opti
     try:
         return call(*given, **options)
     except (Exception, SystemExit) as error:
+        module = str(getattr(owner, "__module__", ""))
         if isinstance(error, ValueError | OSError) and module.partition(".")[0] == _PACKAGE:
             raise
         raise ValueError(f"{what}: {told(error)}") from error

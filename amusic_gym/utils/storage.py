@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
+import fcntl
 import hashlib
 import json
 import math
@@ -16,7 +17,6 @@ import os
 import secrets
 import shutil
 import stat
-import sys
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -34,6 +34,9 @@ _WRITTEN = f"{_PREFIX}written.json"
 _MOST_JSON = 2**28  # bytes
 _PATIENCE = 2.0
 """Seconds to wait for a lock without a word."""
+
+_swept: set[Path] = set()
+"""Folders that this process has swept for `replacing_file`."""
 
 _SWAP_UNSUPPORTED = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EXDEV, errno.EPERM)
 _OCCUPIED = (errno.ENOTEMPTY, errno.EEXIST)
@@ -58,11 +61,10 @@ def read_npy_header(file: BufferedReader, path: Path) -> NpyHeader:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # headers written by Python 2
-            version = np.lib.format.read_magic(file)
-            if version == (1, 0):
-                shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
-            else:
-                shape, fortran, dtype = np.lib.format.read_array_header_2_0(file)
+            first = np.lib.format.read_magic(file) == (1, 0)
+            form = np.lib.format
+            read = form.read_array_header_1_0 if first else form.read_array_header_2_0
+            shape, fortran, dtype = read(file)
         if not all(0 <= size < 2**63 for size in shape):
             raise ValueError(shape)
     except Exception:  # garbage raises nearly anything: tokens, syntax, values, recursion
@@ -198,50 +200,45 @@ def sha256(file: BufferedReader) -> str:
     return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-class FolderReader:
-    """Opens the files of one folder, the same one even if another takes its name meanwhile.
+@contextlib.contextmanager
+def opened_folder(path: Path) -> Iterator[int]:
+    """Descriptor of a folder, by which its files are found even if another takes its name.
 
     Raises:
         FileNotFoundError: when there is no such folder.
         ValueError: when it is a file.
     """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{path} does not exist; check the name") from None
+    except NotADirectoryError:
+        raise ValueError(f"{path} is a file; give a folder") from None
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._descriptor: int | None = None
-        try:
-            if os.open in os.supports_dir_fd:
-                self._descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-            else:
-                os.listdir(path)
-        except FileNotFoundError:
-            raise FileNotFoundError(f"{path} does not exist; check the name") from None
-        except NotADirectoryError:
-            raise ValueError(f"{path} is a file; give a folder") from None
 
-    def open(self, name: str) -> BufferedReader:
-        """The folder's file ``name``, open for reading; raises as :func:`open_file`."""
-        return open_file(self.path / name, self._descriptor)
+def was_replaced(path: Path, descriptor: int) -> bool:
+    """Whether a folder's name means another folder than its descriptor by now."""
+    try:
+        return not os.path.samestat(os.fstat(descriptor), os.stat(path))
+    except FileNotFoundError:
+        return True
 
-    def read(self, name: str, limit: int) -> bytes:
-        """Content of the folder's file ``name``; raises as :func:`read_regular`."""
-        return read_regular(self.path / name, limit, self._descriptor)
 
-    def was_replaced(self) -> bool:
-        """Whether the folder's name means another folder by now."""
-        if self._descriptor is None:
-            return False
-        try:
-            return not os.path.samestat(os.fstat(self._descriptor), os.stat(self.path))
-        except FileNotFoundError:
-            return True
-
-    def __enter__(self) -> FolderReader:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._descriptor is not None:
-            os.close(self._descriptor)
+@contextlib.contextmanager
+def _nothing_changed(path: Path) -> Iterator[None]:
+    """An OSError in the block says that ``path`` is as it was."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(
+            error.errno,
+            f"writing {path} failed ({error.strerror or error}); nothing was changed there: "
+            "free some space or choose another folder",
+        ) from error
 
 
 @contextlib.contextmanager
@@ -262,7 +259,7 @@ def replacing_folder(path: Path, marker: str, contents: frozenset[str]) -> Itera
         OSError: when writing fails; nothing at ``path`` has changed then.
     """
     path = Path(os.path.realpath(path))
-    try:
+    with _nothing_changed(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with locked(path.parent):  # one writer at a time looks, sweeps and renames
             refuse_to_replace_others(path, marker, contents)
@@ -274,14 +271,9 @@ def replacing_folder(path: Path, marker: str, contents: frozenset[str]) -> Itera
                 _fsync(file)
             with locked(path.parent):
                 refuse_to_replace_others(path, marker, contents)
-                _move_into_place(folder, path)
+                _exchange(folder, path)
             with contextlib.suppress(OSError):  # the new folder stands; not all systems sync names
                 _fsync(path.parent)
-    except OSError as error:
-        raise OSError(
-            f"writing {path} failed ({error.strerror or error}); nothing was changed there: "
-            "free some space or choose another folder"
-        ) from error
 
 
 def restore_folder(path: Path) -> None:
@@ -328,18 +320,15 @@ def replacing_file(path: Path) -> Iterator[Path]:
     Raises:
         OSError: when writing fails; nothing at ``path`` has changed then.
     """
-    try:
+    with _nothing_changed(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        _sweep_once(path.parent)
+        parent = Path(os.path.realpath(path.parent))
+        if parent not in _swept:
+            _swept.add(parent)
+            sweep(parent)
         with unfinished(path.parent, path.suffix) as temporary:
             yield temporary
             os.replace(temporary, path)
-    except OSError as error:
-        raise OSError(
-            error.errno,
-            f"writing {path} failed ({error.strerror or error}); nothing was changed there: "
-            "free some space or choose another folder",
-        ) from error
 
 
 def write_whole(path: str | os.PathLike[str], content: bytes) -> Path:
@@ -367,15 +356,12 @@ def keep_only(folder: Path, kind: str, files: Iterable[str | Path]) -> None:
     names = [Path(file).relative_to(folder).as_posix() for file in files]
     before = written.get(kind)
     for name in before if isinstance(before, list) else []:
-        if isinstance(name, str) and name not in names and _is_below(name):
+        below = isinstance(name, str) and not os.path.isabs(name) and ".." not in Path(name).parts
+        if below and name not in names:
             with contextlib.suppress(OSError):
                 (folder / name).unlink()
     if before != names:
         write_whole(path, json.dumps({**written, kind: names}, indent=1).encode() + b"\n")
-
-
-def _is_below(name: str) -> bool:
-    return not Path(name).is_absolute() and ".." not in Path(name).parts
 
 
 @contextlib.contextmanager
@@ -451,21 +437,16 @@ def locked(path: Path, wait: bool = True) -> Iterator[bool]:
 
 
 def _lock(descriptor: int, path: Path, wait: bool) -> bool:
-    try:
-        import fcntl  # POSIX only: here, so that the rest works elsewhere
-    except ImportError:
-        return False
     patience = time.monotonic() + _PATIENCE
     while True:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
         except BlockingIOError:
             if not wait:
                 raise
         except OSError:
             return False
-        else:
-            return True
         if time.monotonic() > patience:
             patience = math.inf
             warnings.warn(
@@ -489,16 +470,6 @@ def sweep(folder: Path) -> None:
                 _remove(path)
 
 
-_swept: set[Path] = set()
-
-
-def _sweep_once(folder: Path) -> None:
-    folder = Path(os.path.realpath(folder))
-    if folder not in _swept:  # by this process
-        _swept.add(folder)
-        sweep(folder)
-
-
 def _remove(path: Path) -> None:
     with contextlib.suppress(OSError):
         if path.is_dir():
@@ -516,58 +487,43 @@ def _sweep_exchange(path: Path) -> None:
             shutil.rmtree(aside, ignore_errors=True)
 
 
-def _move_into_place(folder: Path, path: Path) -> None:
-    """Rename ``folder`` to ``path``; what was at ``path`` is left to the sweep or removed."""
-    while True:
-        try:
-            os.rename(folder, path)  # nothing there, or an empty folder
-            return
-        except OSError as error:
-            if error.errno not in _OCCUPIED:
-                raise
-        if _swap(folder, path) or _replace_by_two_renames(folder, path):
-            return
-
-
-def _replace_by_two_renames(folder: Path, path: Path) -> bool:
-    """Move ``path`` aside and ``folder`` in; False when another writer came between.
-
-    A writer killed between the two leaves the old folder aside: `restore_folder` puts it back.
-    """
-    aside = path.parent / f"{_aside_stem(path)}{secrets.token_hex(8)}.old"
-    with contextlib.suppress(FileNotFoundError):  # another writer has just moved it aside
-        os.rename(path, aside)
+def _exchange(folder: Path, path: Path) -> None:
+    """Rename ``folder`` to ``path``; what was at ``path`` is left to `unfinished`, or removed."""
     try:
-        os.rename(folder, path)
+        os.rename(folder, path)  # nothing there, or an empty folder
+        return
     except OSError as error:
         if error.errno not in _OCCUPIED:
-            with contextlib.suppress(OSError):
-                os.rename(aside, path)
             raise
-        shutil.rmtree(aside, ignore_errors=True)
-        return False
+    if _swap(folder, path):
+        return
+    # A writer killed between the two renames leaves the old folder aside: see `restore_folder`.
+    aside = path.parent / f"{_aside_stem(path)}{secrets.token_hex(8)}.old"
+    os.rename(path, aside)
+    try:
+        os.rename(folder, path)
+    except OSError:
+        os.rename(aside, path)
+        raise
     shutil.rmtree(aside, ignore_errors=True)
-    return True
 
 
 def _swap(first: Path, second: Path) -> bool:
     """Exchange two folders in one step; False where the system cannot."""
     library = ctypes.CDLL(None, use_errno=True)
     names = os.fsencode(first), os.fsencode(second)
-    swap_flag = 2  # RENAME_EXCHANGE on Linux, RENAME_SWAP on macOS
-    if sys.platform == "darwin" and hasattr(library, "renamex_np"):
-        failed = library.renamex_np(*names, ctypes.c_uint(swap_flag))
-    elif sys.platform == "linux" and hasattr(library, "renameat2"):
+    swap_flag = ctypes.c_uint(2)  # RENAME_EXCHANGE on Linux, RENAME_SWAP on macOS
+    if hasattr(library, "renameat2"):
         here = -100  # AT_FDCWD; both paths are absolute
-        failed = library.renameat2(here, names[0], here, names[1], ctypes.c_uint(swap_flag))
+        failed = library.renameat2(here, names[0], here, names[1], swap_flag)
+    elif hasattr(library, "renamex_np"):
+        failed = library.renamex_np(*names, swap_flag)
     else:
         return False
-    if not failed:
-        return True
     number = ctypes.get_errno()
-    if number in (*_SWAP_UNSUPPORTED, errno.ENOENT):
-        return False
-    raise OSError(number, os.strerror(number), os.fspath(second))
+    if failed and number not in _SWAP_UNSUPPORTED:
+        raise OSError(number, os.strerror(number), os.fspath(second))
+    return not failed
 
 
 def _aside_stem(path: Path) -> str:

@@ -82,7 +82,7 @@ class _Diagonals:
     """Each technique's own SIC: where one technique runs per frame, MuSIC takes its match."""
 
     def __init__(self, bank: ScoreBank, settings: SICSettings) -> None:
-        from amusic_gym.estimation.sic import SIC
+        from amusic_gym.estimation.sic.correction import SIC
 
         self.bank = bank
         self.sics = [SIC(bank.references, settings) for _ in bank.techniques]
@@ -120,7 +120,9 @@ class _Belief:
     def _step(episodes: Any, technique: int) -> int:
         actions = np.zeros((1, episodes.slots), np.bool_)
         actions[0, technique] = True
-        out = episodes.step(actions)
+        episodes.choose(actions)
+        episodes.estimator.update()
+        out = episodes.observe()
         return int(out.routes["prediction"][0])
 
 

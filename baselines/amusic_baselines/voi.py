@@ -60,8 +60,8 @@ class ValueOfInformation:
         keep: float = KEEP,
         lasting: float = LASTING,
     ) -> None:
-        from amusic_gym.estimation.dynamics import IDLE_DECAY  # these load Numba
-        from amusic_gym.estimation.observation import TECHNIQUE_FEATURES
+        from amusic_gym.envs.observation import TECHNIQUE_FEATURES
+        from amusic_gym.estimation.prediction import IDLE_DECAY  # these load Numba
 
         self.needs = Needs(allow_idle=idle)
         self.compute_weight = compute_weight

@@ -27,12 +27,13 @@ def make_env(
         reselection: M of the re-select bit; None: no such bit.
     """
     torch.set_num_threads(1)  # small batches: more threads only wait for each other
+    arguments: dict[str, Any] = config.environment()
     return kind(
         config.n_envs,
         source,
         slots=source.slots,
         statistic=config.statistic,
-        **config.environment(),
+        **arguments,
         reward=config.reward,
         compute_weight=config.compute_weights,
         threads=config.threads,

@@ -23,17 +23,6 @@ motion, whatever ran before. The rates were fitted on simulated routes only
 
 from __future__ import annotations
 
-from amusic_gym.estimation.belief.hearing import Hearers
-from amusic_gym.estimation.belief.memory import Hearing, Minds, allocate, begin
 from amusic_gym.estimation.belief.rates import Rates, fitted, stored
 
-__all__ = [
-    "Hearers",
-    "Hearing",
-    "Minds",
-    "Rates",
-    "allocate",
-    "begin",
-    "fitted",
-    "stored",
-]
+__all__ = ["Rates", "fitted", "stored"]

@@ -6,10 +6,12 @@ import math
 from typing import Any
 
 from amusic_gym.banks.rows import prepare, top_at
-from amusic_gym.estimation.belief.memory import REACH, Minds, copy_mind, hearing_at
+from amusic_gym.estimation.belief.memory import REACH, Minds, copy_mind, minds_at
 from amusic_gym.estimation.belief.motion import move
 from amusic_gym.estimation.belief.places import (
     conclude,
+    log_odds,
+    log_ratio,
     looks_of,
     places_of,
     rescale,
@@ -19,6 +21,14 @@ from amusic_gym.estimation.belief.places import (
 from amusic_gym.estimation.belief.rates import LOCKED, WAYS
 from amusic_gym.estimation.belief.rows import RECENT, listen, total
 from amusic_gym.estimation.belief.trust import learn, likelihood, voice
+from amusic_gym.estimation.prediction import (
+    SMOOTHING,
+    choose_technique,
+    relate,
+    remember,
+    set_prediction,
+    sigmoid,
+)
 from amusic_gym.kernels.compiling import apart, compiled, inner, spliced, without_gil
 from amusic_gym.kernels.tables import part
 
@@ -178,13 +188,14 @@ def hear_routes(address: int) -> None:
     """Take the next frame of every active route into its belief.
 
     Args:
-        address: of a table of the layout ``HEARING``.
+        address: of the words of a :class:`~amusic_gym.estimation.belief.memory.Minds`.
     """
-    table = hearing_at(address)
-    minds, routes, runs, ran = table.minds, table.routes, table.runs, table.ran
-    for i in range(table.active.size):
-        if table.active[i]:
-            hear(minds, 0, i, routes[i].frame + 1, runs[i], ran[i], routes[i].tolerance)
+    minds = minds_at(address)
+    batch = minds.batch
+    for i in range(batch.active.size):
+        if batch.active[i]:
+            route = batch.routes[i]
+            hear(minds, 0, i, route.frame + 1, batch.runs[i], batch.ran[i], route.tolerance)
 
 
 @compiled
@@ -192,32 +203,39 @@ def prepare_rows(address: int) -> None:
     """Prepare the rows that :func:`hear_routes` will need: several routes may share them.
 
     Args:
-        address: of a table of the layout ``HEARING``.
+        address: of the words of a :class:`~amusic_gym.estimation.belief.memory.Minds`.
     """
-    table = hearing_at(address)
-    minds, routes, runs, ran = table.minds, table.routes, table.runs, table.ran
-    for i in range(table.active.size):
-        if table.active[i]:
-            prepare_frame(minds, 0, i, routes[i].frame + 1, runs[i], ran[i])
+    minds = minds_at(address)
+    batch = minds.batch
+    for i in range(batch.active.size):
+        if batch.active[i]:
+            prepare_frame(minds, 0, i, batch.routes[i].frame + 1, batch.runs[i], batch.ran[i])
 
 
 @spliced
-def hear_again(table: Any, i: int, first: int, stop: int) -> None:
+def hear_again(minds: Minds, i: int, first: int, stop: int) -> None:
     """Go through the frames from ``first`` to before ``stop`` with every row of route ``i``."""
-    minds, ran, slots = table.minds, table.ran, table.slots
-    for s in range(ran.shape[1]):
+    batch = minds.batch
+    ran, slots = batch.ran[i], batch.slots[i]
+    for s in range(slots.size):
         for frame in range(first, stop):
-            if slots[i, s].present and not ran[i, s, frame]:
-                table.late[i, s] += 1
-                ran[i, s, frame] = 1
+            if slots[s].present and not ran[s, frame]:
+                slots[s].late_runs += 1
+                ran[s, frame] = True
     copy_mind(minds, 1, 0, i)
     for frame in range(first, stop):
-        hear(minds, 0, i, frame, table.runs[i], ran[i], table.routes[i].tolerance)
-        for s in range(ran.shape[1]):
+        hear(minds, 0, i, frame, batch.runs[i], ran, batch.routes[i].tolerance)
+        for s in range(slots.size):
             known = minds.witnesses[0, i, s]
-            statistic = known.statistic if slots[i, s].present else -math.inf
-            table.statistics[i, frame - first, s] = statistic
-            table.corrections[i, s, frame - first] = known.correction
+            statistic = known.statistic if slots[s].present else -math.inf
+            batch.statistics[i, frame - first, s] = statistic
+            batch.corrections[i, s, frame - first] = known.correction
+    for s in range(slots.size):
+        if slots[s].present:
+            for frame in range(first, stop):
+                if not prepare(batch.runs[i, s], frame):
+                    batch.routes[i].bad_row = 1 + s * batch.routes[i].frames + frame
+            load_result(minds, i, s, stop - 1)
 
 
 @compiled
@@ -228,15 +246,89 @@ def look_back(address: int) -> None:
     gone through again with every row.
 
     Args:
-        address: of a table of the layout ``HEARING``, with a memory of two sets.
+        address: of the words of a :class:`~amusic_gym.estimation.belief.memory.Minds`, two sets.
     """
-    table = hearing_at(address)
-    minds, routes = table.minds, table.routes
-    for i in range(table.wanted.size):
-        stop = routes[i].frame + 1
-        first = max(0, stop - table.block)
-        if table.wanted[i] or table.lagging[i]:
+    minds = minds_at(address)
+    batch = minds.batch
+    for i in range(batch.wanted.size):
+        route = batch.routes[i]
+        stop = route.frame + 1
+        first = max(0, stop - batch.block)
+        if batch.wanted[i] or batch.lagging[i]:
             for frame in range(minds.minds[1, i].frame + 1, first):
-                hear(minds, 1, i, frame, table.runs[i], table.ran[i], routes[i].tolerance)
-        if table.wanted[i]:
-            hear_again(table, i, first, stop)
+                hear(minds, 1, i, frame, batch.runs[i], batch.ran[i], route.tolerance)
+        if batch.wanted[i]:
+            hear_again(minds, i, first, stop)
+
+
+@inner
+def load_result(minds: Minds, i: int, s: int, frame: int) -> None:
+    """Store a technique's result in its slot."""
+    slot, known = minds.batch.slots[i, s], minds.witnesses[0, i, s]
+    slot.last_run = frame
+    slot.place = known.place
+    slot.statistic = known.statistic
+    slot.correction = known.correction
+    slot.margin = known.margin
+    slot.trust = known.trust
+    slot.sharpness = 0.25 * known.once + 0.5 * known.twice + known.fourfold
+    slot.weight = known.weight
+    slot.discount = 1.0
+    slot.stored = known.said
+
+
+@spliced
+def load_results(minds: Minds, i: int, frame: int) -> None:
+    """Store the results of the techniques that run on the frame."""
+    batch = minds.batch
+    for s in range(batch.slots[i].size):
+        if batch.slots[i, s].ran:
+            if not prepare(batch.runs[i, s], frame):
+                batch.routes[i].bad_row = 1 + s * batch.routes[i].frames + frame
+            load_result(minds, i, s, frame)
+
+
+@inner
+def believe(minds: Minds, i: int) -> None:
+    """Take the place whose surroundings hold most of the belief; estimate correctness.
+
+    The technique trusted is the one of the highest statistic, as in MuSIC; the place is what all
+    that ran say together.
+    """
+    batch = minds.batch
+    route, mind, b = batch.routes[i], minds.minds[0, i], minds.calibration
+    if route.prediction < 0 and route.idle:
+        return
+    set_prediction(route, mind.place)
+    route.margin = log_ratio(mind.share, mind.rival)
+    route.said = mind.said
+    if mind.heard > 0:
+        route.said_mean += SMOOTHING * (mind.said / mind.heard - route.said_mean)
+    logit = b[0] + b[1] * log_odds(mind.share) + b[2] * route.margin
+    logit += b[3] * route.said + b[4] * route.said_mean
+    route.confidence = min(max(logit, -30.0), 30.0)
+    route.logit = route.confidence
+    route.p_correct = sigmoid(logit)
+    route.steady, route.strange = mind.steady, mind.strange
+    if not route.idle:
+        choose_technique(batch, i)
+
+
+@compiled
+def update_routes(address: int) -> None:
+    """Estimate the active routes' next frame from the belief that has taken it in.
+
+    Args:
+        address: of the words of a :class:`~amusic_gym.estimation.belief.memory.Minds`.
+    """
+    minds = minds_at(address)
+    batch = minds.batch
+    for i in range(batch.active.size):
+        if batch.active[i]:
+            route = batch.routes[i]
+            frame = route.frame + 1
+            load_results(minds, i, frame)
+            believe(minds, i)
+            relate(batch, i, frame)
+            remember(route)
+            route.frame = frame

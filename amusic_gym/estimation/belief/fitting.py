@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.banks.rows import RUN
+from amusic_gym.banks.rows import Run
+from amusic_gym.estimation.batch import Batch
 from amusic_gym.estimation.belief.filter import hear
-from amusic_gym.estimation.belief.memory import MINDS, allocate, begin, minds_at
-from amusic_gym.estimation.belief.rates import Rates
+from amusic_gym.estimation.belief.memory import REACH, Minds, begin, minds_at
+from amusic_gym.estimation.belief.rates import WAYS, Rates
 from amusic_gym.kernels.compiling import without_gil
 
 LEAST = 1e-3
@@ -159,20 +160,23 @@ class Drive:
 
     def __init__(self, bank: ScoreBank, ran: NDArray[np.bool_]) -> None:
         self.bank = bank
-        self.ran = np.ascontiguousarray(ran.T.astype(np.uint8))  # (T, Q)
+        self.ran = np.ascontiguousarray(ran.T)  # (T, Q)
         self.truth = bank.truth.matrix()
         self._prepared = bank.prepared(1)
-        self._runs = np.zeros(len(bank.techniques), RUN)
+        self._runs = np.zeros(len(bank.techniques), Run.dtype)
         self._prepared.point(self._runs, np.arange(len(bank.techniques)))
 
     def drive(self, rates: Rates) -> tuple[NDArray[np.int64], Floats]:
         """Predictions (Q,), and the belief (Q, 2) around them and in the true places."""
-        minds = allocate(rates, 1, 1, len(self.ran), self.bank.references)
+        sizes = {"routes": 1, "slots": len(self.ran), "block": 0, "frames": 1, "sets": 1}
+        sizes |= {"references": self.bank.references, "line": REACH + self.bank.references}
+        sizes |= {"two": 2, "ways": WAYS, "coefficients": 0}
+        minds = Minds(sizes, batch=Batch(sizes, block=0), rates=rates)
         begin(minds, 0, self.bank.references)
         places = np.zeros(self.bank.queries, np.int64)
         beliefs = np.zeros((self.bank.queries, 2))
         tolerance = self.bank.tolerance
-        table = MINDS.write(minds)
+        table = minds.write()
         address = table.ctypes.data
         drive_route(address, self._runs, self.ran, self.truth, tolerance, places, beliefs)
         return places, beliefs

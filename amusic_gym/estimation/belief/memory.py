@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import copy
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.banks.rows import RUN
-from amusic_gym.estimation.belief.rates import RATES, WAYS, Rates, first_trust, share
-from amusic_gym.estimation.records import MIND, ROUTE, SLOT, WITNESS
+from amusic_gym.estimation.batch import Batch
+from amusic_gym.estimation.belief.rates import WAYS, Rates, first_trust, share
 from amusic_gym.kernels.compiling import apart
-from amusic_gym.kernels.tables import Layout, reader
+from amusic_gym.kernels.tables import Record, Table, array, reader
 
 REACH = 3
 """Most places that one frame moves, slack included; the arrays begin with so many zeros."""
@@ -30,109 +30,82 @@ VOICE = np.dtype(
 """How a row of one frame turns into likelihoods: see :mod:`amusic_gym.estimation.belief.trust`."""
 
 
-class Minds(NamedTuple):
-    """Memory of a batch of N routes with S slots; ``sets`` is 2 with re-selection, else 1."""
+class Mind(Record):
+    """Bookkeeping of one route's belief."""
 
+    side: int  # which of the two buffers holds the belief
+    frame: int  # last frame that it includes, -1 before the first
+    steady: float  # belief in steady motion
+    strange: float  # change of the rows over what is usual
+    place: int  # whose surroundings hold most of the belief
+    share: float  # how much of it
+    rival: float  # share of the best surroundings apart from these
+    said: float  # log-likelihood that the frame's rows gave the place, their sum
+    heard: int  # number of these rows
+
+
+class Witness(Record):
+    """What is known of one technique on one route."""
+
+    count: float  # rows seen
+    last: int  # frame of the last one, -1: none
+    weight: float  # of the present row, ≤ 1
+    novelty: float  # running mean of 1 − correlation with the row before
+    contrast: float  # running mean of the rows' deviation
+    trust: float  # probability that its rows are informative, the sum of these:
+    once: float  # probability that they are, with sharpness 1,
+    twice: float  # ... 2
+    fourfold: float  # ... 4
+    place: int  # most probable place by this technique's row alone
+    statistic: float  # its log-odds
+    correction: float  # ... less those of the uncorrected match
+    margin: float  # log of its probability over that of the best rival
+    said: float  # log-likelihood that the row gave the place believed in
+
+
+class Minds(Table):
+    """Memory of the belief for a batch of N routes with S slots; two sets with re-selection.
+
+    Arrays: ``minds`` (sets, N), ``witnesses`` (sets, N, S), ``belief`` (sets, N, 2, WAYS, REACH +
+    R), ``hubs`` (sets, N, S, 2, R) mean and variance of each place's z-scores; scratch: ``rows``
+    (S, R), ``voices`` (S,), ``prior``, ``joint`` and ``windows`` (R,); ``calibration`` (C,).
+    """
+
+    batch: Batch
     rates: Rates
-    minds: NDArray[Any]  # (sets, N) MIND
-    witnesses: NDArray[Any]  # (sets, N, S) WITNESS
-    belief: NDArray[np.float64]  # (sets, N, 2, WAYS, REACH + R)
-    hubs: NDArray[np.float64]  # (sets, N, S, 2, R): mean and variance of each place's z-scores
-    rows: NDArray[np.float64]  # (S, R) scratch: standardised rows, then e to their power
-    voices: NDArray[Any]  # (S,) VOICE scratch
-    prior: NDArray[np.float64]  # (R,) scratch
-    joint: NDArray[np.float64]  # (R,) scratch: the belief over places, all ways of moving
-    windows: NDArray[np.float64]  # (R,) scratch: sums of the belief within the tolerance
+    calibration: NDArray[np.float64] = array(np.float64, "coefficients")
+    minds: NDArray[Any] = array(Mind, "sets", "routes")
+    witnesses: NDArray[Any] = array(Witness, "sets", "routes", "slots")
+    belief: NDArray[np.float64] = array(np.float64, "sets", "routes", "two", "ways", "line")
+    hubs: NDArray[np.float64] = array(np.float64, "sets", "routes", "slots", "two", "references")
+    rows: NDArray[np.float64] = array(np.float64, "slots", "references", kept=False)
+    voices: NDArray[Any] = array(VOICE, "slots", kept=False)
+    prior: NDArray[np.float64] = array(np.float64, "references", kept=False)
+    joint: NDArray[np.float64] = array(np.float64, "references", kept=False)
+    windows: NDArray[np.float64] = array(np.float64, "references", kept=False)
 
-    def beside(self) -> Minds:
-        """The same memory with scratch of its own, for another thread."""
-        scratch = ("rows", "voices", "prior", "joint", "windows")
-        return self._replace(**{name: np.zeros_like(getattr(self, name)) for name in scratch})
-
-
-MINDS = Layout(
-    "Minds",
-    {
-        "rates": RATES,
-        "minds": (MIND, 2),
-        "witnesses": (WITNESS, 3),
-        "belief": (np.float64, 5),
-        "hubs": (np.float64, 5),
-        "rows": (np.float64, 2),
-        "voices": (VOICE, 1),
-        "prior": (np.float64, 1),
-        "joint": (np.float64, 1),
-        "windows": (np.float64, 1),
-    },
-)
-"""How kernels see :class:`Minds`."""
-
-minds_at: Any = reader(MINDS)
+    def beside(self, active: NDArray[np.bool_]) -> Minds:
+        """The same memory with scratch and active routes (N,) of its own, for another thread."""
+        twin, twin_batch = copy.copy(self), copy.copy(self.batch)
+        twin_batch.active = active
+        twin.batch = twin_batch
+        for name, column in self.columns.items():
+            if not column.kept:
+                setattr(twin, name, np.zeros_like(getattr(self, name)))
+        return twin
 
 
-class Hearing(NamedTuple):
-    """What the belief of N routes reads and writes at a step."""
-
-    minds: Minds
-    active: NDArray[np.bool_]  # (N,) routes that hear their next frame
-    wanted: NDArray[np.bool_]  # (N,) routes that look back
-    lagging: NDArray[np.bool_]  # (N,) routes whose lagged belief cannot wait: their rows go
-    block: int  # M
-    routes: NDArray[Any]  # (N,) ROUTE: the last frame processed, and the tolerance
-    slots: NDArray[Any]  # (N, S) SLOT: whether a technique is present
-    runs: NDArray[Any]  # (N, S) RUN
-    ran: NDArray[np.uint8]  # (N, S, Q), filled in for the next frame
-    late: NDArray[np.int64]  # (N, S) filled with the runs after the fact
-    statistics: NDArray[np.float64]  # (N, M, S) filled with the statistics on the block's frames
-    corrections: NDArray[np.float64]  # (N, S, M) likewise with the corrections
-
-
-HEARING = Layout(
-    "Hearing",
-    {
-        "minds": MINDS,
-        "active": (np.bool_, 1),
-        "wanted": (np.bool_, 1),
-        "lagging": (np.bool_, 1),
-        "block": int,
-        "routes": (ROUTE, 1),
-        "slots": (SLOT, 2),
-        "runs": (RUN, 2),
-        "ran": (np.uint8, 3),
-        "late": (np.int64, 2),
-        "statistics": (np.float64, 3),
-        "corrections": (np.float64, 3),
-    },
-)
-"""How kernels see a :class:`Hearing`."""
-
-hearing_at: Any = reader(HEARING)
-
-
-def allocate(rates: Rates, sets: int, routes: int, slots: int, references: int) -> Minds:
-    """Memory for a batch of routes on maps of at most ``references`` places."""
-    return Minds(
-        rates=rates,
-        minds=np.zeros((sets, routes), MIND),
-        witnesses=np.zeros((sets, routes, slots), WITNESS),
-        belief=np.zeros((sets, routes, 2, WAYS, REACH + references)),
-        hubs=np.zeros((sets, routes, slots, 2, references)),
-        rows=np.zeros((slots, references)),
-        voices=np.zeros(slots, VOICE),
-        prior=np.zeros(references),
-        joint=np.zeros(references),
-        windows=np.zeros(references),
-    )
+minds_at: Any = reader(Minds)
 
 
 def begin(minds: Minds, route: int, references: int) -> None:
     """Forget a route: every place is as likely, nothing is known of the techniques."""
     rates = minds.rates
     record = minds.minds[:, route]
-    record[:] = np.zeros((), MIND)
+    record[:] = np.zeros((), Mind.dtype)
     record["frame"], record["steady"] = -1, rates.steady
     known = minds.witnesses[:, route]
-    known[:] = np.zeros((), WITNESS)
+    known[:] = np.zeros((), Witness.dtype)
     known["last"] = -1
     known["once"], known["twice"], known["fourfold"] = first_trust(rates)
     known["trust"] = rates.trust

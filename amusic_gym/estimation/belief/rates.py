@@ -7,6 +7,8 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
+from numba import types
+
 from amusic_gym.kernels.compiling import inner
 from amusic_gym.kernels.tables import Layout
 
@@ -60,7 +62,8 @@ class Rates(NamedTuple):
     settle: float  # chance per frame that it begins
 
 
-RATES = Layout("Rates", dict.fromkeys(Rates._fields, float))
+RATES = Layout("Rates", dict.fromkeys(Rates._fields, types.float64))
+Rates.layout = RATES  # type: ignore[attr-defined]
 """How kernels see :class:`Rates`."""
 
 BINOMIAL = (1 / 64, 6 / 64, 15 / 64, 20 / 64, 15 / 64, 6 / 64, 1 / 64)

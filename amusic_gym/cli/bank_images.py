@@ -1,0 +1,285 @@
+"""The commands of ``bank`` that have to do with images: images | tour | render."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from amusic_gym.banks.bank_files import check_destination
+from amusic_gym.banks.ground_truth import GroundTruth
+from amusic_gym.cli import images as shared
+from amusic_gym.cli.options import MANY
+from amusic_gym.cli.parser import Parser
+from amusic_gym.extraction.progress import Progress
+from amusic_gym.routes import image_truth, tours
+from amusic_gym.routes.conditions import CONDITIONS
+from amusic_gym.routes.datasets import load_dataset
+from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.utils.checks import whole
+
+if TYPE_CHECKING:
+    from amusic_gym.techniques import Technique
+
+LEAST_SIZE = 16
+"""Pixels of a rendered image's sides."""
+
+PART = re.compile(r"([^:]+):([^:]+?)(?:@(\d+):(\d+):([1-9]\d*))?")
+
+
+class _Route(NamedTuple):
+    """Two folders, what is true, and what to call it."""
+
+    reference: Any
+    query: Any
+    ground_truth: GroundTruth
+    tolerance: int | None
+    name: str
+
+
+def images(args: argparse.Namespace) -> None:
+    """Two folders of images, or a data set -> a bank."""
+    techniques, seconds = shared.techniques_of(args)
+    route = _folders(args) if args.dataset is None else _dataset(args)
+    if args.copies:
+        widened = image_truth.with_copies(route.ground_truth, route.reference)
+        route = route._replace(ground_truth=widened)
+    _extract(args, techniques, seconds, exclude_recent=args.exclude_recent, **route._asdict())
+
+
+def tour(args: argparse.Namespace) -> None:
+    """Several pairs of image folders, one drive under changing conditions -> a bank."""
+    parts = [_part(text) for text in args.part]
+    chosen = CONDITIONS if args.conditions is None else args.conditions.split(",")
+    made = tours.make_tour(parts, list(chosen), seed=args.seed)
+    truth = made.ground_truth(args.tolerance)
+    techniques, seconds = shared.techniques_of(args)
+    check_destination(args.out)
+    if args.images is not None:
+        tours.check_destination(args.images)
+        total = len(made.reference) + len(made.query)
+        with Progress(True).bar("tour", total, "images") as advance:
+            print(f"{tours.write_tour(made, args.images, advance)}: {total} images")
+    _extract(
+        args,
+        techniques,
+        seconds,
+        reference=made.reference,
+        query=made.query,
+        ground_truth=truth,
+        tolerance=args.tolerance,
+        source=made.source,
+    )
+    for spell in made.spells:
+        print(f"from frame {spell.first}: {spell.condition}")
+
+
+def render(args: argparse.Namespace) -> None:
+    """One made-up route, drawn under several conditions -> a folder of images for each."""
+    from amusic_gym.worlds import SIZE, render_folders  # these need Numba
+
+    size = SIZE if args.size is None else _size(args.size)
+    conditions = list(dict.fromkeys(text.strip() for text in args.condition.split(",")))
+    total = args.places * (1 + len(conditions))
+    with Progress(True).bar("render", total, "images") as advance:
+
+        def one_more(*_: int) -> None:
+            advance(1)
+
+        render_folders(
+            args.out,
+            conditions,
+            seed=args.seed,
+            places=args.places,
+            size=size,
+            kind=args.kind,
+            progress=one_more,
+        )
+    for name in ("reference", *conditions):
+        print(f"{args.out / name}: {args.places} images")
+
+
+def _extract(
+    args: argparse.Namespace,
+    techniques: Sequence[Technique],
+    seconds: Mapping[str, float],
+    *,
+    reference: Any,
+    query: Any,
+    name: str = "",
+    **more: Any,
+) -> None:
+    """Extract scores to ``--out``, and tell of it; ``more`` is passed on to `extract`."""
+    from amusic_gym.extraction import extract
+
+    bank = extract(
+        reference,
+        query,
+        techniques,
+        seconds=seconds,
+        measure_again=args.measure_again,
+        cache=args.cache,
+        executor=args.executor,
+        out=args.out,
+        progress=True,
+        name=args.name or name,
+        **more,
+    )
+    tell(bank.path, bank.shape)
+
+
+def tell(path: Path | None, shape: tuple[int, int, int]) -> None:
+    """Print where a bank is, and how large."""
+    techniques, queries, references = shape
+    print(f"{path}: {techniques} techniques, {queries} queries, {references} references")
+
+
+def _size(text: str) -> tuple[int, int]:
+    columns, times, rows = text.lower().partition("x")
+    if not (times and columns.isdecimal() and rows.isdecimal()):
+        raise ValueError(f"--size {text!r} is not of the form WIDTHxHEIGHT, e.g. 320x240")
+    if min(int(columns), int(rows)) < LEAST_SIZE:
+        raise ValueError(f"--size {text}: give at least {LEAST_SIZE}x{LEAST_SIZE} pixels")
+    return int(columns), int(rows)
+
+
+def _part(text: str) -> tuple[ImageFolder, ImageFolder]:
+    """``REFERENCE:QUERY`` or ``REFERENCE:QUERY@FIRST:STOP:STEP``, cut as Python cuts a list."""
+    found = PART.fullmatch(text)
+    if found is None:
+        raise ValueError(
+            f"--part {text!r} is not of the form REFERENCE:QUERY or "
+            "REFERENCE:QUERY@FIRST:STOP:STEP, two folders with one colon between them"
+        )
+    reference, query, first, stop, step = found.groups()
+    if first is None:
+        return ImageFolder(reference), ImageFolder(query)
+    taken = range(int(first), int(stop), int(step))
+    if not taken:
+        raise ValueError(f"--part {text!r} takes no image; give a STOP above FIRST")
+    cut: dict[str, Any] = {"first": taken.start, "step": taken.step, "count": len(taken)}
+    return ImageFolder(reference, **cut), ImageFolder(query, **cut)
+
+
+def _folders(args: argparse.Namespace) -> _Route:
+    """The route of ``--reference`` and ``--query``."""
+    _refuse(args, ("root", "images", "first", "step"), "only goes with --dataset")
+    by, tolerance = args.truth_by, args.tolerance
+    limits = _given(args, "metres", "heading")
+    if limits and by != "position":
+        raise ValueError(f"--{next(iter(limits))} only goes with --truth-by position")
+    if args.ground_truth is not None and by is not None:
+        raise ValueError("--ground-truth and --truth-by both say what is true; give one of the two")
+    if args.reference is None or args.query is None:
+        raise ValueError("give --reference DIR and --query DIR, or --dataset NAME and --root DIR")
+    if tolerance is None and args.ground_truth is None and by != "position":
+        raise ValueError("give --tolerance N, the places to either side that count as right")
+    reference, query = shared.map_of(args), shared.run_of(args)
+    if args.exclude_recent is None:
+        image_truth.warn_of_shared_files(reference, query)
+    if args.ground_truth is not None:
+        truth = image_truth.from_file(args.ground_truth, reference, query, tolerance, args.trust)
+    elif by == "position":
+        truth = image_truth.by_position(reference, query, **limits)
+        truth = truth if tolerance is None else truth.with_tolerance(tolerance)
+    elif by == "name":
+        truth = image_truth.by_name(reference, query, tolerance)
+    else:
+        truth = image_truth.by_index(reference, query, tolerance, exact=by is None)
+    return _Route(reference, query, truth, tolerance, "")
+
+
+def _dataset(args: argparse.Namespace) -> _Route:
+    """The route of ``--dataset``."""
+    brought = ("reference", "query", "ground_truth", "truth_by", "metres", "heading")
+    _refuse(args, brought, "does not go with --dataset, which brings it")
+    if args.order or args.skip_damaged:
+        raise ValueError("--order and --skip-damaged do not go with --dataset; give its folders")
+    if args.root is None:
+        raise ValueError(f"--dataset {args.dataset} needs --root DIR, where its folders are")
+    least = {"images": 1, "first": 0, "step": 1}
+    counts = {
+        name: whole(f"--{name}", value, least[name]) for name, value in _given(args, *least).items()
+    }
+    found = load_dataset(args.dataset, args.root, **counts)
+    truth, tolerance = found.ground_truth, found.tolerance
+    if args.tolerance is not None:
+        tolerance = args.tolerance
+        truth = image_truth.by_index(found.reference, found.query, tolerance)
+    return _Route(found.reference, found.query, truth, tolerance, found.name)
+
+
+def _given(args: argparse.Namespace, *names: str) -> dict[str, Any]:
+    return {name: value for name in names if (value := getattr(args, name)) is not None}
+
+
+def _refuse(args: argparse.Namespace, names: Sequence[str], why: str) -> None:
+    for name in _given(args, *names):
+        raise ValueError(f"--{name.replace('_', '-')} {why}")
+
+
+def add_images(parser: Parser) -> None:
+    """Add the arguments of ``images``."""
+    add = parser.add_argument
+    parser.add_shared("--reference", "--query", "--order", "--skip-damaged")
+    add("--dataset", metavar="NAME", help="one of the six of the paper, e.g. nordland_winter")
+    add("--root", type=Path, metavar="DIR", help="where the data sets' folders are")
+    add("--images", type=int, metavar="N", help="of a data set, if not as many as in the paper")
+    add("--first", type=int, metavar="I", help="of a data set: the first image to take, from 0")
+    add("--step", type=int, metavar="K", help="of a data set: take each K-th from there")
+    add(
+        "--truth-by",
+        choices=("index", "name", "position"),
+        help="frame q is at place q (index, the default where there are as many); at the image "
+        "with the same name; or near images by @UTM_EAST@UTM_NORTH@ in their names",
+    )
+    add("--metres", type=float, metavar="M", help="how near, with --truth-by position")
+    add("--heading", type=float, metavar="D", help="likewise: seen within D degrees, too")
+    parser.add_shared("--ground-truth", "--trust", "--tolerance", "--exclude-recent")
+    same = "a place's neighbours with the same image, byte for byte, are true too"
+    add("--copies", action="store_true", help=same)
+    _add_extraction(parser)
+
+
+def add_tour(parser: Parser) -> None:
+    """Add the arguments of ``tour``."""
+    add = parser.add_argument
+    add(
+        "--part",
+        required=True,
+        metavar="REFERENCE:QUERY[@FIRST:STOP:STEP]",
+        help="two folders with as many images each; frame q is at place q; of both, images FIRST, "
+        "FIRST + STEP, … before STOP, or all",
+        **MANY,
+    )
+    add(
+        "--conditions",
+        metavar="A,B",
+        help="of the query, a spell of 40 to 80 frames each: plain, night, blur, shift, fog, rain, "
+        "glare (default: all); NAME:STRENGTH, above 0 and up to 1, and A+B for both at once",
+    )
+    add("--images", type=Path, metavar="DIR", help="write these, too, to DIR/reference, DIR/query")
+    parser.add_shared("--seed", help="of the conditions (default: %(default)s)")
+    parser.add_shared("--tolerance", required=True)
+    _add_extraction(parser)
+
+
+def _add_extraction(parser: Parser) -> None:
+    parser.add_shared("--techniques", required=True)
+    parser.add_shared("--weights", "--seconds", "--cache", "--executor", "--name", "--out")
+    again = "measure the seconds even if the cache remembers them of this machine"
+    parser.add_argument("--measure-again", action="store_true", help=again)
+
+
+def add_render(parser: Parser) -> None:
+    """Add the arguments of ``render``."""
+    add = parser.add_argument
+    each = "winter, night, fog, …: a folder for each; A+B is both at once"
+    add("--condition", required=True, metavar="A,B", help=each)
+    add("--places", type=int, default=200, metavar="N", help="of the route (default: %(default)s)")
+    add("--size", metavar="WxH", help="of an image in pixels, e.g. 640x480")
+    add("--kind", metavar="KIND", help="street, rail or corridor (default: the seed chooses)")
+    parser.add_shared("--seed", help="of the route (default: %(default)s)")
+    parser.add_shared("--out", metavar="DIR", help="for reference/ and a folder per condition")

@@ -1,0 +1,46 @@
+"""Compare policies on score banks: a table, results.json, traces and figures.
+
+POLICY: amusic (the paper's), amusic:evidence, amusic:belief, music, raw:NAME, single:NAME,
+subset:A+B, random:P[/idle], periodic:N[/A+B[/C]] (C may be idle), cascade[:CHEAP/HOLD/THRESHOLD],
+voi, voi:idle, voi:LAMBDA[/idle], oracle, ppo and ppo@belief (the selectors that ship, for evidence
+and for belief), ppo:RUN (a folder that train wrote), mpf[:R], hmpf, dynmpf[:R], plurality,
+borda[:DEPTH], hmm[:BETA/JUMP], switchhit[:TAU].
+With idle nothing may run on a frame. Rows that are finished in DIR already are not run again.
+"""
+
+from __future__ import annotations
+
+import argparse
+from functools import partial
+
+from amusic_gym.cli.parser import Parser, correction_of, insisted
+from amusic_gym.cli.policies import add_policies, banks_of
+from amusic_gym.evaluation.comparison import compare, draw, table
+from amusic_gym.evaluation.contestants import all_subsets, check_weights, contestants
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add the command's arguments."""
+    add_policies(parser, "for all policies but amusic and ppo, which bring their own")
+    parser.add_shared("--seed")
+
+
+def main(args: argparse.Namespace) -> None:
+    """Compare, draw."""
+    if not args.policy and not args.all_subsets:
+        args.parser.error("no policy; give --policy, --all-subsets or both")
+    weights = check_weights(args.compute_weight)
+    result = compare(
+        banks_of(args),
+        lambda bank: contestants(
+            [*args.policy, *(all_subsets(bank.techniques) if args.all_subsets else [])],
+            compute_weights=weights,
+            **insisted(args),
+        ),
+        args.out,
+        **correction_of(args),
+        seed=args.seed,
+        report=partial(print, flush=True),
+    )
+    draw(result, args.out)
+    print(f"\n{table(result)}\n\n{args.out / 'results.json'}")

@@ -1,0 +1,155 @@
+"""The main job in one go: from images to a trained selector, a comparison and a page.
+
+It renders worlds, joins them into tours under changing conditions, runs the techniques on these,
+trains a selector on simulated routes by policy iteration, and compares it on the tours, which no
+training saw, with the selector that ships and with rules of every kind. With the variable
+AMUSIC_DATA the real Corridor recording is added, with --bank your own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+from amusic_agents.config import RolloutConfig, TrainingConfig, stored_config
+from amusic_agents.policy_iteration import iterate_policy
+from amusic_agents.run_folder import CHECKPOINT
+from amusic_agents.selector import load_selector
+
+from amusic_gym.banks.bank import COST_MODELS, ScoreBank
+from amusic_gym.banks.importers import from_recording
+from amusic_gym.cli import demo_story as story
+from amusic_gym.cli import demo_tours as rendered
+from amusic_gym.cli.parser import Parser, destination
+from amusic_gym.evaluation.comparison import compare, draw, table
+from amusic_gym.evaluation.contestants import all_subsets, contestants
+from amusic_gym.evaluation.metrics import mean_rows
+from amusic_gym.evaluation.report import ReportFigure, write_report
+from amusic_gym.evaluation.study import figures
+from amusic_gym.evaluation.study.rivals import study_rivals
+
+REAL = ("HOG", "CALC", "CoHOG", "NetVLAD")
+ITERATIONS = 3
+QUICK = {"states": 3_000, "epochs": 8}
+"""Of an iteration: less than the defaults, so that the training takes a minute or two."""
+PICTURED = ("amusic", "amusic:evidence", "music", "cascade", "random:0.3", "oracle", "ppo")
+"""What every bank is compared on, besides the trained selector and all fixed subsets."""
+
+PICTURED_WEIGHTS = (0.05, 0.3, 2.0)
+"""λ at which figures of single drives show the trained selector; more would not fit."""
+
+SELECTORS = {
+    "trained here": "On tours that no training saw, the selector trained here",
+    "ships": "The selector that ships",
+    "ships, may idle": "The one that ships and may run nothing on a frame",
+}
+
+
+def training(folder: Path, iterations: int, seed: int) -> TrainingConfig:
+    """How to train on simulated routes, by their ground truth.
+
+    Raises:
+        ValueError: if the folder holds a training with other settings.
+    """
+    config = TrainingConfig(
+        algorithm="rollouts",
+        seed=seed,
+        threads=2,
+        reward="ground_truth",
+        held_out=12,
+        rollouts=RolloutConfig(iterations=iterations, **QUICK),
+    )
+    if (folder / CHECKPOINT).exists() and stored_config(folder) != config:
+        raise ValueError(
+            f"{folder} holds a training with another --seed or other --iterations; give another"
+            f" --out, or delete {folder}"
+        )
+    return config
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add the command's arguments."""
+    parser.add_shared("--out", type=destination, required=False, default=Path("out/demo"))
+    parser.add_shared("--bank", help="yours, to compare on besides")
+    costs = "paper: the same on every machine; runs: for any techniques (default: paper)"
+    parser.add_shared("--costs", choices=COST_MODELS, default="paper", help=costs)
+    parser.add_argument("--iterations", type=int, default=ITERATIONS, help="of the training")
+    parser.add_shared("--seed", help="of the training")
+
+
+def main(given: argparse.Namespace) -> None:
+    """Render, extract, train, compare, tell."""
+    begun = time.monotonic()
+
+    def say(text: str) -> None:
+        print(f"[{time.monotonic() - begun:4.0f} s] {text}", flush=True)
+
+    out: Path = given.out
+    others = [ScoreBank.load(bank) for bank in given.bank]
+    if folder := os.environ.get("AMUSIC_DATA"):
+        others.insert(0, from_recording(Path(folder) / "corridor", REAL))
+    others = [bank.with_costs(given.costs) for bank in others]  # refused before long work
+
+    run_folder = out / "run"
+    config = training(run_folder, given.iterations, given.seed)
+    tours = rendered.make_tours(out, say)
+    banks = [bank.with_costs(given.costs) for bank in rendered.banks_of(tours, out, say)]
+    say(f"training a selector on simulated routes: {given.iterations} iterations")
+    iterate_policy(run_folder, config, resume=(run_folder / CHECKPOINT).exists())
+    trained = f"ppo:{run_folder}"
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*has no correct match")
+        say("comparing it")
+        comparison = compare(
+            [*banks, *others],
+            lambda bank: contestants([*PICTURED, trained, *all_subsets(bank.techniques)]),
+            out,
+            report=lambda _: None,
+        )
+        say("studying it: rules of every kind at no more compute")
+        selectors = {"trained here": [trained], "ships": ["ppo"], "ships, may idle": ["ppo:idle"]}
+        findings = study_rivals(banks, selectors, out / "study")
+    say("driving live along the first tour")
+    moment = rendered.drive(out, load_selector(run_folder), tours[0], banks[0])
+
+    sentences = story.on_tours(findings, SELECTORS)
+    names = [bank.name for bank in banks]
+    for name in dict.fromkeys(row["bank"] for row in comparison.rows):
+        if name not in names:
+            rows = [row for row in comparison.rows if row["bank"] == name]
+            sentences.append(story.other(name, rows, trained))
+    say("drawing")
+    pictured = [
+        trace
+        for trace in comparison.traces
+        if trace.compute_weight in (None, *PICTURED_WEIGHTS) and trace.policy != "ppo"
+    ]
+    write_report(
+        out / "index.html",
+        title="A learned selector of place-recognition techniques",
+        sentences=sentences,
+        rows=[*mean_rows([r for r in comparison.rows if r["bank"] in names]), *comparison.rows],
+        figures=[
+            figures.draw(findings, out / "study")[0],
+            ReportFigure(
+                rendered.contact_sheet(tours[0], out),
+                "One place for each spell of the first tour: as the map has it, and below as the"
+                " drive sees it.",
+            ),
+            ReportFigure(
+                moment,
+                "A moment of the selector's live drive (drive.mp4): what the camera sees, the place"
+                " it is taken for, what ran and how long that took.",
+            ),
+            *draw(replace(comparison, traces=pictured), out),
+        ],
+    )
+    print(f"\n{table(replace(comparison, traces=[]))}\n")  # without a line for every policy's p̂
+    for sentence in sentences:
+        print(sentence)
+    say(f"done: open {out / 'index.html'}")

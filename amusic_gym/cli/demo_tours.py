@@ -1,0 +1,140 @@
+"""The demo's tours: rendered worlds joined into drives, and what techniques make of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.live_route import LiveRoute
+from amusic_gym.envs.pictures.sightings import Pictures
+from amusic_gym.envs.task import RENDER_FPS
+from amusic_gym.extraction import Cache, describe_map, extract
+from amusic_gym.live.navigation import navigate
+from amusic_gym.policies.protocol import Selector
+from amusic_gym.routes.tours import Tour, make_tour
+from amusic_gym.routes.video import VideoWriter
+from amusic_gym.techniques import make_technique
+from amusic_gym.utils.storage import write_whole
+from amusic_gym.worlds import Kind, render_folders
+
+TECHNIQUES = ("hog", "calc", "netvlad", "cohog")
+TOLERANCE = 1
+PLACES = 100
+SEEDS = (1, 2, 3)
+EXECUTOR = "process:2"
+COMPUTE_WEIGHT = 0.3
+INTO_SPELL = 20
+"""Frames into a spell: the image of it that the contact sheet shows."""
+
+OF_DRIVE = 60
+"""Frame of the live drive that the page shows."""
+
+
+class World(NamedTuple):
+    """A rendered world, and how it looks on the second drive through it."""
+
+    kind: Kind
+    seed: int
+    condition: str
+
+
+WORLDS = (
+    World("street", 4_000, "shift"),
+    World("rail", 4_001, "night+shift"),
+    World("corridor", 4_002, "shift+crowd"),
+)
+
+
+def make_tours(out: Path, say: Callable[[str], None]) -> list[Tour]:
+    """Render the worlds to ``out/images``, and join them in another order for every seed.
+
+    What is there from an earlier call is not done again.
+    """
+    parts = []
+    for world in WORLDS:
+        images = out / "images" / world.kind
+        say(f"rendering a {world.kind}: the map, and a drive in {world.condition}")
+        render_folders(images, [world.condition], seed=world.seed, places=PLACES, kind=world.kind)
+        parts.append((images / "reference", images / world.condition))
+    turns = [number % len(parts) for number in range(len(SEEDS))]
+    orders = [parts[turn:] + parts[:turn] for turn in turns]
+    return [make_tour(order, seed=seed) for order, seed in zip(orders, SEEDS, strict=True)]
+
+
+def banks_of(tours: Sequence[Tour], out: Path, say: Callable[[str], None]) -> list[ScoreBank]:
+    """The scores of all techniques on every tour, kept in ``out/banks``."""
+    banks = []
+    with Cache(out / "cache") as cache:
+        for tour in tours:
+            name = f"tour-{tour.seed}"
+            say(f"running {', '.join(TECHNIQUES)} on {name}")
+            bank = extract(
+                tour.reference,
+                tour.query,
+                TECHNIQUES,
+                tolerance=TOLERANCE,
+                ground_truth=tour.ground_truth(TOLERANCE),
+                source=tour.source,
+                cache=cache,
+                executor=EXECUTOR,
+                name=name,
+                out=out / "banks" / name,
+            )
+            banks.append(bank)
+    return banks
+
+
+def contact_sheet(tour: Tour, out: Path) -> Path:
+    """A picture of one place of every spell: the map above, below what the robot sees."""
+    frames = [min(spell.first + INTO_SPELL, len(tour.query) - 1) for spell in tour.spells]
+    columns = [np.concatenate([tour.reference[i], tour.query[i]]) for i in frames]
+    sheet = np.concatenate(columns, axis=1)
+    small = cv2.resize(sheet, None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA)
+    return write_whole(out / "tour.jpg", cv2.imencode(".jpg", small)[1].tobytes())
+
+
+def drive(out: Path, selector: Selector, tour: Tour, bank: ScoreBank) -> Path:
+    """Let a selector drive live along a tour, filmed as ``out/drive.mp4``.
+
+    Args:
+        out: the demo's folder.
+        selector: the trained one.
+        tour: the route.
+        bank: of the same images; gives the costs and what is true.
+
+    Returns:
+        The picture of one frame.
+    """
+    path = out / "drive.png"
+    with ExitStack() as stack:
+        cache = stack.enter_context(Cache(out / "cache"))
+        maps = [
+            stack.enter_context(
+                closing(describe_map(tour.reference, make_technique(name), cache=cache))
+            )
+            for name in TECHNIQUES
+        ]
+        route = LiveRoute(
+            maps,
+            tour.query,
+            tolerance=TOLERANCE,
+            seconds=bank.seconds,
+            costs=bank.costs,
+            name=bank.name,
+            places=tour.reference,
+            ground_truth=bank.truth,
+        )
+        video = stack.enter_context(VideoWriter(out / "drive.mp4", RENDER_FPS))
+        pictures = Pictures(route, f"{bank.name}, learned selector")
+        for sighting in navigate(selector, route, compute_weight=COMPUTE_WEIGHT):
+            picture = pictures.draw(sighting)
+            video.write(picture)
+            if sighting.frame == OF_DRIVE:
+                write_whole(path, cv2.imencode(".png", picture[:, :, ::-1])[1].tobytes())
+    return path

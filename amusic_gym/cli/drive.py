@@ -1,0 +1,137 @@
+"""What ``navigate`` prints: a line per frame, and a summary however the drive ends."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from amusic_gym.envs.live_route import LiveRoute
+from amusic_gym.live.navigation import Sighting
+
+DOUBT, SETTLED = 0.5, 20
+"""p̂ of a doubtful frame, and frames after which many of them are worth a word."""
+
+HEADER = f"{'frame':>6} {'place':>6} {'confidence':>10} {'p':>5} {'ms':>8}  techniques"
+
+
+class Journal:
+    """Prints sightings as they come, and the summary when it is left, by Ctrl-C too.
+
+    Args:
+        route: the route that is driven.
+        quiet: print the summary only.
+    """
+
+    def __init__(self, route: LiveRoute, *, quiet: bool = False) -> None:
+        """Nothing is printed yet."""
+        self.route = route
+        self.quiet = quiet
+        self.frames = self.right = self.doubtful = 0
+        self.milliseconds = self.reading = 0.0
+        self.runs = np.zeros(len(route.techniques), np.int64)
+        self.run_milliseconds = np.zeros(len(route.techniques))
+
+    def write(self, sighting: Sighting) -> None:
+        """Count a frame and print its line."""
+        if not self.frames and not self.quiet:
+            print(HEADER if self.route.truth is None else f"{HEADER}  (!: wrong place)")
+        self.frames += 1
+        self.milliseconds += sighting.milliseconds
+        self.reading += sighting.read_milliseconds
+        self.runs += sighting.ran + sighting.late_runs
+        self.run_milliseconds += sighting.run_milliseconds
+        self.doubtful += sighting.p_correct is not None and sighting.p_correct < DOUBT
+        right = None
+        if self.route.truth is not None:
+            right = bool(self.route.truth.correct([sighting.prediction], [sighting.frame])[0])
+            self.right += right
+        if not self.quiet:
+            print(line(sighting, right), flush=True)
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.frames:
+            print("\n".join(["", *self.summary()]), flush=True)
+
+    def summary(self) -> list[str]:
+        """What the drive was like, in lines."""
+        whole = self.milliseconds + self.reading
+        lines = [
+            f"{self.frames} frames, {1000.0 * self.frames / whole:.1f} frames/s:"
+            f" {self.milliseconds / self.frames:.1f} ms per frame and"
+            f" {self.reading / self.frames:.1f} ms to get its image"
+        ]
+        if self.route.truth is not None:
+            lines.append(f"right places: {self.right / self.frames:.1%}")
+        if self.frames >= SETTLED and 2 * self.doubtful > self.frames:
+            lines.append(
+                f"p is below {DOUBT} on {self.doubtful / self.frames:.0%} of the frames: the robot"
+                " may be off the map, or not move as the statistic takes it to (evidence and mean:"
+                " one place per frame; belief: up to two, forwards); thin the video or the map, or"
+                " compare --statistic belief and raw:NAME"
+            )
+        lines.append(f"{'technique':<16} {'runs/frame':>10} {'ms/run':>8}")
+        for t, name in enumerate(self.route.techniques):
+            mean = f"{self.run_milliseconds[t] / self.runs[t]:.1f}" if self.runs[t] else "-"
+            lines.append(f"{name:<16} {self.runs[t] / self.frames:>10.2f} {mean:>8}")
+        return lines
+
+
+def line(sighting: Sighting, right: bool | None) -> str:
+    """One frame; a wrong place is marked where the truth is known."""
+    p = "-" if sighting.p_correct is None else f"{sighting.p_correct:.2f}"
+    words = " + ".join(sighting.active) or "nothing"
+    if sighting.selection:
+        words += f"  (selection, {sighting.late_runs.sum()} late runs)"
+    place = str(sighting.prediction) if sighting.prediction >= 0 else "-"
+    mark = "!" if right is False else " "
+    return (
+        f"{sighting.frame:>6} {place:>6}{mark}{sighting.confidence:>10.2f} {p:>5}"
+        f" {sighting.milliseconds:>8.1f}  {words}"
+    )
+
+
+def check_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, str | None]) -> None:
+    """Refuse files that cannot be written, or that would replace what is read, before any work.
+
+    Args:
+        outputs: option -> the file that it writes; None: not given.
+        inputs: option -> what it reads.
+
+    Raises:
+        ValueError: naming the option and the mend.
+    """
+    taken = [(option, Path(path)) for option, path in inputs.items() if path is not None]
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        for other, used in taken:
+            same = path.exists() and used.exists() and path.samefile(used)  # links, or case
+            if same or path.resolve() == used.resolve():
+                raise ValueError(
+                    f"{option} {path} is the file of {other} too and would replace it; give"
+                    " another file"
+                )
+        taken.append((option, path))
+        if path.is_dir():
+            raise ValueError(f"{option} {path} is a folder; give a file in it")
+        try:
+            _try_writing(path)
+        except OSError as error:
+            raise ValueError(
+                f"{option} {path} cannot be written ({error.strerror}); give another file"
+            ) from None
+
+
+def _try_writing(path: Path) -> None:
+    """Open ``path`` for writing, or a nameless file where its folder is or would be made."""
+    if path.is_file():
+        path.open("ab").close()
+    elif not path.exists():
+        folder = next(above for above in path.absolute().parents if above.exists())
+        tempfile.TemporaryFile(dir=folder).close()

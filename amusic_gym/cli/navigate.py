@@ -1,0 +1,225 @@
+"""Recognise places live: run a policy on a folder of images, a video or a camera.
+
+Only what the policy activates is computed. POLICY: those of compare but the oracle. A query that is
+a number is a camera. Techniques and policy run once on images of the map before the drive, so that
+compiling and loading are not in the first frame's time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.ground_truth import check_tolerance
+from amusic_gym.cli.drive import Journal, check_outputs
+from amusic_gym.cli.images import map_of, run_of, techniques_of
+from amusic_gym.cli.parser import Parser, add_statistic, correction_of, destination, insisted
+from amusic_gym.envs.live_route import FrameSource, ImageSequence, LiveRoute
+from amusic_gym.envs.pictures.sightings import Pictures
+from amusic_gym.envs.task import RENDER_FPS
+from amusic_gym.envs.window import Window
+from amusic_gym.evaluation.contestants import Contestant, check_weights, contestants
+from amusic_gym.evaluation.plots.labels import policy_label
+from amusic_gym.extraction.cache import Cache
+from amusic_gym.extraction.map import DescribedMap, describe_map
+from amusic_gym.live.navigation import Sighting, TraceWriter, navigate
+from amusic_gym.policies.protocol import Context
+from amusic_gym.routes.folders import ImageFolder, check_apart
+from amusic_gym.routes.image_truth import from_file, warn_of_shared_files
+from amusic_gym.routes.video import Camera, VideoFile, VideoWriter
+from amusic_gym.techniques import Technique
+from amusic_gym.utils.checks import whole
+
+COMPUTE_WEIGHT = 0.3
+"""λ of a trained selector where none is named: in the middle of what `compare` runs."""
+
+TOLERANCE = 2
+"""Places that count as one when matches are compared, where none is named."""
+
+WARM_UP = 2
+"""Frames of the map that the policy is run on before the drive."""
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add the command's arguments."""
+    add = parser.add_argument
+    parser.add_shared("--reference", required=True)
+    parser.add_shared("--query", required=True, metavar="DIR|VIDEO|CAMERA", help="what is seen")
+    parser.add_shared("--policy", required=True)
+    parser.add_shared("--techniques", default="hog,cohog,calc,netvlad", help="(%(default)s)")
+    parser.add_shared("--weights", "--seconds")
+    add_statistic(parser, "unless the policy brings its own")
+    weight = "λ of a trained selector or voi (default: %(default)s)"
+    add("--compute-weight", type=float, default=COMPUTE_WEIGHT, metavar="L", help=weight)
+    add(
+        "--tolerance",
+        type=int,
+        metavar="N",
+        help="how many places apart two matches may be and still count as the same place"
+        f" (default: {TOLERANCE}, or what the ground truth lists); with --ground-truth of one"
+        " place per frame also how far off a match is still right",
+    )
+    parser.add_shared("--ground-truth", "--trust", "--order", "--skip-damaged", "--seed")
+    add("--every", type=int, metavar="N", help="of a video: take each N-th frame")
+    add("--fps", type=float, metavar="F", help="of a video: take F frames per second of it")
+    parser.add_shared("--cache", type=destination, help="where descriptors of the map are kept")
+    add("--trace", type=destination, metavar="FILE.csv", help="write a line per frame")
+    add("--video", type=destination, metavar="FILE.mp4|.avi", help="write a picture per frame")
+    add("--show", action="store_true", help="show it in a window, until that is closed")
+    add("--frames", type=int, metavar="N", help="stop after so many")
+    add("--quiet", action="store_true", help="print the summary only")
+
+
+def main(args: argparse.Namespace) -> None:
+    """Describe the map, drive."""
+    correction = correction_of(args)
+    weights = check_weights([args.compute_weight])
+    (policy,) = contestants([args.policy], compute_weights=weights, **insisted(args))
+    _check(args)
+    techniques, seconds = techniques_of(args)
+    _refuse_early(policy, techniques, correction)
+    with ExitStack() as stack:
+        window = stack.enter_context(closing(_window())) if args.show else None
+        video = stack.enter_context(VideoWriter(args.video, RENDER_FPS)) if args.video else None
+        frames = _frames(args)
+        stack.callback(getattr(frames, "close", lambda: None))
+        places = map_of(args)
+        if isinstance(frames, ImageSequence):
+            check_apart(places, frames.images)
+            if isinstance(frames.images, ImageFolder):
+                warn_of_shared_files(places, frames.images)
+        cache = stack.enter_context(Cache(args.cache))
+        maps = [
+            stack.enter_context(
+                closing(describe_map(places, one, cache=cache, progress=not args.quiet))
+            )
+            for one in techniques
+        ]
+        route = _route(args, maps, frames, places, seconds)
+        _warm_up(policy, route, places, correction)
+        pictures = Pictures(route, f"{route.name}, {policy_label(args.policy)}")
+        trace = stack.enter_context(TraceWriter(args.trace, route)) if args.trace else None
+        journal = stack.enter_context(Journal(route, quiet=args.quiet))
+        for sighting in islice(_drive(policy, route, correction, args.seed), args.frames):
+            journal.write(sighting)
+            if trace:
+                trace.write(sighting)
+            picture = pictures.draw(sighting) if video or window else None
+            if video and picture is not None:
+                video.write(picture)
+            if window and picture is not None:
+                window.show(picture)
+                if window.closed_by_user:
+                    break
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse numbers out of range, and files that cannot be written or are read, at once."""
+    if args.frames is not None:
+        args.frames = min(whole("--frames", args.frames, 1), sys.maxsize)
+    whole("--seed", args.seed, 0)
+    if args.tolerance is not None:
+        check_tolerance(args.tolerance)
+    inputs = {"--query": args.query, "--ground-truth": args.ground_truth}
+    check_outputs({"--trace": args.trace, "--video": args.video}, inputs)
+
+
+def _refuse_early(
+    policy: Contestant, techniques: Sequence[Technique], correction: Mapping[str, Any]
+) -> None:
+    """Let a wrong policy fail before the map is described, which can take long."""
+    names = [one.name for one in techniques]
+    stand_in = ScoreBank(
+        np.zeros((len(names), 1, 1), np.float32), names, np.ones(len(names)), tolerance=0
+    )
+    policy.make(Context.of(stand_in, **correction))
+
+
+def _window() -> Window:
+    try:
+        window = Window("amusic-gym")
+    except ImportError as error:
+        raise ValueError(str(error)) from None
+    window.check()
+    return window
+
+
+def _frames(args: argparse.Namespace) -> FrameSource:
+    """The folder, video or camera of the command line."""
+    query, thinned = args.query, args.every is not None or args.fps is not None
+    if args.every is not None and args.fps is not None:
+        raise ValueError("--every and --fps both thin a video; give one of the two")
+    if thinned and (query.lstrip("-").isdecimal() or Path(query).is_dir()):
+        raise ValueError(f"--every and --fps thin a video, but --query {query} is none")
+    if query.isdecimal() and not Path(query).exists():
+        return Camera(int(query))
+    if re.fullmatch(r"-\d+", query) and not Path(query).exists():
+        raise ValueError(f"--query {query}: camera numbers are 0, 1, …")
+    if Path(query).is_dir():
+        return ImageSequence(run_of(args), Path(query).resolve().name)
+    every = 1 if args.every is None else whole("--every", args.every, 1)
+    return VideoFile(query, every=every, fps=args.fps)
+
+
+def _route(
+    args: argparse.Namespace,
+    maps: Sequence[DescribedMap],
+    frames: FrameSource,
+    places: ImageFolder,
+    given: Mapping[str, float],
+) -> LiveRoute:
+    """The live route; seconds that are not given are measured."""
+    options: dict[str, Any] = {"tolerance": args.tolerance, "places": places}
+    if args.ground_truth is not None:
+        if not isinstance(frames, ImageSequence):
+            raise ValueError("--ground-truth needs a --query whose length is known: a folder")
+        folder = frames.images
+        assert isinstance(folder, ImageFolder)
+        options["ground_truth"] = from_file(
+            args.ground_truth, places, folder, args.tolerance, args.trust, default=TOLERANCE
+        )
+    elif args.tolerance is None:
+        options["tolerance"] = TOLERANCE
+    names = [one.technique.name for one in maps]
+    known = dict(given)
+    if len(given) < len(names):
+        route = LiveRoute(maps, frames, **options)
+        if not given:
+            return route
+        known = {**dict(zip(names, route.seconds, strict=True)), **given}
+    return LiveRoute(maps, frames, seconds=[known[name] for name in names], **options)
+
+
+def _warm_up(
+    policy: Contestant, route: LiveRoute, places: ImageFolder, correction: Mapping[str, Any]
+) -> None:
+    """Compile, load and run everything once, on images of the map."""
+    image = places[0]
+    for technique in range(len(route.techniques)):
+        route.run(technique, image, 0)
+    short = LiveRoute(
+        route.maps,
+        [image] * WARM_UP,
+        tolerance=route.tolerance,
+        seconds=route.seconds,
+        name=route.name,
+    )
+    for _ in _drive(policy, short, correction, seed=0):
+        pass
+
+
+def _drive(
+    policy: Contestant, route: LiveRoute, correction: Mapping[str, Any], seed: int
+) -> Iterator[Sighting]:
+    """A drive with a fresh policy."""
+    made = policy.make(Context.of(route, seed=seed, **correction))
+    return navigate(made, route, compute_weight=policy.compute_weights[0], **correction)

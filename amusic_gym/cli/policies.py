@@ -1,0 +1,46 @@
+"""Arguments of the commands that run policies on banks: compare | study."""
+
+from __future__ import annotations
+
+import argparse
+
+from amusic_gym.banks.bank import COST_MODELS, ScoreBank
+from amusic_gym.cli.options import MANY
+from amusic_gym.cli.parser import Parser, add_statistic, destination
+from amusic_gym.evaluation.contestants import COMPUTE_WEIGHTS, MOST_TECHNIQUES
+
+
+def add_policies(parser: Parser, whose: str, most_weights: str = "") -> None:
+    """Add the banks, the policies and how they are run.
+
+    Args:
+        parser: of the command.
+        whose: policies that take ``--statistic``, as in "for all policies but amusic".
+        most_weights: how many ``--compute-weight`` there may be, for its help.
+    """
+    parser.add_shared("--bank", required=True)
+    parser.add_shared("--policy", **MANY)
+    parser.add_shared("--out", type=destination, metavar="DIR")
+    subsets = f"add every subset of the techniques, of at most {MOST_TECHNIQUES}"
+    parser.add_argument("--all-subsets", action="store_true", help=subsets)
+    parser.add_argument(
+        "--compute-weight",
+        nargs="+",
+        type=float,
+        default=COMPUTE_WEIGHTS,
+        metavar="L",
+        help=f"λ of the selectors and of voi{most_weights} (default: %(default)s)",
+    )
+    add_statistic(parser, whose)
+    parser.add_shared("--costs", choices=COST_MODELS)
+
+
+def banks_of(args: argparse.Namespace) -> list[ScoreBank]:
+    """The banks of ``--bank``, whole, with the costs of ``--costs``.
+
+    Raises:
+        FileNotFoundError: for a folder that is not there.
+        ValueError: for a damaged bank, or techniques that the cost model has no time for.
+    """
+    banks = [ScoreBank.load(folder, verify=True) for folder in args.bank]
+    return [bank.with_costs(args.costs) if args.costs else bank for bank in banks]

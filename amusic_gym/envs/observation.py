@@ -1,0 +1,179 @@
+"""The observation: what a robot would know, one group per technique and one for the route.
+
+The names below are the layout; :func:`observe` writes them in this order, and the environment's
+docstring explains each.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.estimation.batch import RouteState, SlotState
+from amusic_gym.estimation.settings import COMPUTE_WEIGHT_RANGE
+from amusic_gym.kernels.compiling import inner
+
+VERSION = 4
+"""Rises whenever the meaning or the order of an entry changes; trained runs store it."""
+
+TECHNIQUE_FEATURES = (
+    "present",
+    "ran",
+    "statistic",
+    "margin",
+    "correction",
+    "agrees",
+    "agreement",
+    "support",
+    "support_mean",
+    "stored",
+    "trust",
+    "sharpness",
+    "weight",
+    "age",
+    "chosen",
+    "cost_share",
+    "cost_log",
+    "price",
+    "confirms",
+    "confirmation",
+    "support_usual",
+    "dissent",
+)
+ROUTE_FEATURES = (
+    "compute_weight",
+    "has_prediction",
+    "statistic",
+    "margin",
+    "p_correct",
+    "p_correct_mean",
+    "continues",
+    "since_doubt",
+    "elapsed",
+    "compute",
+    "compute_mean",
+    "agreeing",
+    "steady",
+    "said",
+    "said_mean",
+    "strange",
+    "size",
+    "logit",
+    "since_confirmed",
+    "track",
+    "supported",
+)
+
+SQUASH_HALF = 4.0
+"""The number that squash maps to one half."""
+
+TINY = 1e-9
+"""Stands for 0 where a logarithm is taken."""
+
+_LOG_LOW = math.log10(COMPUTE_WEIGHT_RANGE[0])
+_LOG_SPAN = math.log10(COMPUTE_WEIGHT_RANGE[1]) - _LOG_LOW
+
+
+def observation_size(slots: int) -> int:
+    """Length of the flat observation for a number of technique slots."""
+    return slots * len(TECHNIQUE_FEATURES) + len(ROUTE_FEATURES)
+
+
+@inner
+def squash(value: float) -> float:
+    """Map any number to (−1, 1): value / (|value| + 4).
+
+    One division: forty of them are written per route and step.
+    """
+    return value / (abs(value) + SQUASH_HALF)
+
+
+@inner
+def observe_technique(slot: SlotState, route: RouteState, out: NDArray[np.float32]) -> None:
+    """Write one technique's group to ``out``."""
+    out[0] = 1.0
+    out[1] = slot.ran
+    out[2] = squash(slot.statistic)
+    out[3] = squash(slot.margin)
+    out[4] = squash(slot.correction)
+    out[5] = slot.agrees
+    out[6] = slot.agreement
+    out[7] = squash(slot.support)
+    out[8] = squash(slot.support_mean)
+    out[9] = squash(slot.stored)
+    out[10] = slot.trust
+    out[11] = slot.sharpness
+    out[12] = slot.weight
+    out[13] = squash(route.frame - slot.last_run) if slot.last_run >= 0 else 1.0
+    out[14] = slot.chosen
+    out[15] = slot.cost_share
+    out[16] = slot.cost_log
+    out[17] = slot.price
+    out[18] = slot.confirms
+    out[19] = slot.confirmation
+    out[20] = squash(slot.support_usual)
+    out[21] = squash(slot.statistic - slot.stored)
+
+
+@inner
+def observe_route(route: RouteState, out: NDArray[np.float32]) -> None:
+    """Write the route's group to ``out``."""
+    out[0] = route.weight_log
+    out[1] = 1.0 if route.prediction >= 0 else 0.0
+    out[2] = squash(route.confidence)
+    out[3] = squash(route.margin)
+    out[4] = route.p_correct
+    out[5] = route.p_correct_mean
+    out[6] = route.continues
+    out[7] = squash(route.since_doubt)
+    out[8] = squash(route.frame + 1)
+    out[9] = squash(route.compute)
+    out[10] = squash(route.compute_mean)
+    out[11] = route.agreeing
+    out[12] = route.steady
+    out[13] = squash(route.said)
+    out[14] = squash(route.said_mean)
+    out[15] = squash(route.strange)
+    out[16] = route.size_log
+    out[17] = squash(route.logit)
+    out[18] = squash(route.since_confirmed)
+    out[19] = squash(route.track)
+    out[20] = route.support
+
+
+@inner
+def observe(route: RouteState, slots: Any, out: NDArray[np.float32]) -> None:
+    """Write the observation of one route to ``out`` (D,), float32; absent slots are zero."""
+    width = len(TECHNIQUE_FEATURES)
+    for s in range(slots.size):
+        if slots[s].present:
+            observe_technique(slots[s], route, out[s * width : (s + 1) * width])
+    observe_route(route, out[slots.size * width :])
+
+
+def declare_costs(route: NDArray[Any], slots: NDArray[Any]) -> None:
+    """Write the entries that hold for an episode to its route (1,) and slots (S,)."""
+    present = slots["present"] > 0
+    share = slots["seconds"][present] / route["total_seconds"]
+    slots["cost_share"][present] = share
+    slots["cost_log"][present] = np.maximum(1.0 + np.log10(share) / 4.0, -1.0)
+    price = np.log10(np.maximum(route["compute_weight"] * share, TINY))
+    slots["price"][present] = np.clip(0.5 * price + 0.5, -1.0, 1.0)
+    route["size_log"] = np.clip(np.log10(route["references"]) / 3.0 - 1.0, -1.0, 1.0)
+    weight = (np.log10(np.maximum(route["compute_weight"], TINY)) - _LOG_LOW) / _LOG_SPAN
+    route["weight_log"] = np.clip(2.0 * weight - 1.0, -1.0, 1.0)
+
+
+def observation_names(techniques: tuple[str, ...]) -> list[str]:
+    """Name of every entry of the observation, in order."""
+    names = [f"{t}.{feature}" for t in techniques for feature in TECHNIQUE_FEATURES]
+    return names + [f"route.{feature}" for feature in ROUTE_FEATURES]
+
+
+def bounds(slots: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Lower and upper bounds (D,) float32 of the observation."""
+    size = observation_size(slots)
+    return np.full(size, -1.0, np.float32), np.full(size, 1.0, np.float32)
