@@ -12,6 +12,7 @@ import numpy as np
 
 from amusic_gym.banks import bank_files
 from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.estimation.settings import ESTIMATORS
 from amusic_gym.extraction.code import key_of
 from amusic_gym.utils.imports import PACKAGE, digest_of, source_files
 from amusic_gym.utils.storage import read_json, write_whole
@@ -23,11 +24,16 @@ FORMAT_VERSION = 4
 def sources(entry: Path, *packages: Path) -> tuple[Path, ...]:
     """A source file, those that it depends on by its imports, and the JSON data beside them.
 
+    The estimators, which are imported by name, are among them.
+
     Args:
         entry: the file.
-        packages: folders of the packages whose files count, in the order of their dependence.
+        packages: folders of the packages whose files count, in the order of their dependence; the
+            last is this one, or a copy.
     """
-    files = {entry}
+    modules = {where.partition(":")[0] for where in ESTIMATORS.values()}
+    root = packages[-1].parent
+    files = {entry, *(root.joinpath(*name.split(".")).with_suffix(".py") for name in modules)}
     for package in packages:
         files |= {each for file in files for each in source_files(file, package=package)}
     files |= {data for folder in {file.parent for file in files} for data in folder.glob("*.json")}
