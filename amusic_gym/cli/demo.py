@@ -24,13 +24,13 @@ from amusic_gym.banks.bank import COST_MODELS, ScoreBank
 from amusic_gym.banks.importers import from_recording
 from amusic_gym.cli import demo_story as story
 from amusic_gym.cli import demo_tours as rendered
-from amusic_gym.cli.contestants import contestants
 from amusic_gym.cli.parser import Parser, destination
-from amusic_gym.cli.rivals import study_rivals
-from amusic_gym.evaluation.comparison import all_subsets, compare, draw, table
+from amusic_gym.evaluation.comparison import compare, draw, table
+from amusic_gym.evaluation.contestants import all_subsets, contestants
 from amusic_gym.evaluation.metrics import mean_rows
 from amusic_gym.evaluation.report import ReportFigure, write_report
 from amusic_gym.evaluation.study import figures
+from amusic_gym.evaluation.study.rivals import study_rivals
 
 REAL = ("HOG", "CALC", "CoHOG", "NetVLAD")
 ITERATIONS = 3
