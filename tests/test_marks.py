@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from amusic_agents.config import TrainingConfig, stored
+from amusic_agents.config import TrainingConfig
 from amusic_agents.network import SelectorNetwork
-from amusic_agents.run_folder import CONFIG, read_config, write_config, write_selector
+from amusic_agents.run_folder import CONFIG, read_config, stored, write_config, write_selector
 from amusic_agents.selector import learned_from_truth
 from amusic_agents.shipped import SHIPPED, shipped
 from env_cases import random_bank

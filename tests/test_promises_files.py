@@ -19,9 +19,15 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from amusic_agents.config import ImitationConfig, RolloutConfig, TrainingConfig, stored_config
-from amusic_agents.policy_iteration import iterate_policy
-from amusic_agents.run_folder import CHECKPOINT, CONFIG, EVALUATIONS, SELECTOR, read_config
+from amusic_agents.config import ImitationConfig, RolloutConfig, TrainingConfig
+from amusic_agents.run_folder import (
+    CHECKPOINT,
+    CONFIG,
+    EVALUATIONS,
+    SELECTOR,
+    read_config,
+    stored_config,
+)
 from amusic_agents.selector import load_selector
 from amusic_agents.training import train
 from env_cases import random_bank
@@ -47,8 +53,7 @@ SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 @pytest.fixture(autouse=True, scope="module")
 def quick() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("amusic_agents.policy_iteration.HeldOut", Quick)
-        patch.setattr("amusic_agents.training.HeldOut", Quick)
+        patch.setattr("amusic_agents.records.HeldOut", Quick)
         yield
 
 
@@ -132,12 +137,12 @@ def named_score(run: Path) -> float | None:
 def test_35_policy_iteration_killed_at_any_rename_names_no_score_but_its_selector_s(
     tmp_path, routes, monkeypatch
 ):
-    monkeypatch.setattr("amusic_agents.policy_iteration.HeldOut", Better)
+    monkeypatch.setattr("amusic_agents.records.HeldOut", Better)
     config = small_rollouts(rollouts={"iterations": 2, "epochs": 1})
     scores: dict[bytes, float] = {}
 
     def work(out: Path) -> None:
-        iterate_policy(out, config, banks=routes, resume=(out / CONFIG).exists(), progress=False)
+        train(out, config, banks=routes, resume=(out / CONFIG).exists(), progress=False)
 
     def noting(*arguments: Any) -> None:
         write_config(*arguments)
@@ -147,7 +152,7 @@ def test_35_policy_iteration_killed_at_any_rename_names_no_score_but_its_selecto
     from amusic_agents.run_folder import write_config
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("amusic_agents.keeper.write_config", noting)
+        patch.setattr("amusic_agents.records.write_config", noting)
         work(tmp_path / "whole")
     for out in kills(work, tmp_path / "killed", range(8, 13)):  # at the second iteration's end
         if (score := named_score(out)) is not None:
@@ -161,7 +166,7 @@ def test_35_ppo_killed_beside_its_selector_resumes_with_the_score_of_that(tmp_pa
         config = small_ppo("ppo", timesteps=64, evaluate_every=32)
         train(out, config, banks=routes, resume=(out / CHECKPOINT).exists(), progress=False)
 
-    for out in kills(work, tmp_path, range(4, 9)):  # at the first evaluation
+    for out in kills(work, tmp_path, range(6, 11)):  # at the first evaluation
         work(out)
         rows = (out / EVALUATIONS).read_text().splitlines()[1:]
         assert named_score(out) == max(float(row.split(",")[1]) for row in rows)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from amusic_agents.config import TrainingConfig, stored
+from amusic_agents.config import TrainingConfig
 from amusic_agents.network import SelectorNetwork
-from amusic_agents.run_folder import SELECTOR, read_config, write_config, write_selector
+from amusic_agents.run_folder import SELECTOR, read_config, stored, write_config, write_selector
 from amusic_agents.selector import load_selector
 from amusic_agents.shipped import IDLING, PRETRAINED, SHIPPED, shipped
 from env_cases import random_bank

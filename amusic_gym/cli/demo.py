@@ -15,10 +15,10 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 
-from amusic_agents.config import RolloutConfig, TrainingConfig, stored_config
-from amusic_agents.policy_iteration import iterate_policy
-from amusic_agents.run_folder import CHECKPOINT
+from amusic_agents.config import RolloutConfig, TrainingConfig
+from amusic_agents.run_folder import CHECKPOINT, stored_config
 from amusic_agents.selector import load_selector
+from amusic_agents.training import train
 
 from amusic_gym.banks.bank import COST_MODELS, ScoreBank
 from amusic_gym.banks.importers import from_recording
@@ -99,7 +99,7 @@ def main(given: argparse.Namespace) -> None:
     tours = rendered.make_tours(out, say)
     banks = [bank.with_costs(given.costs) for bank in rendered.banks_of(tours, out, say)]
     say(f"training a selector on simulated routes: {given.iterations} iterations")
-    iterate_policy(run_folder, config, resume=(run_folder / CHECKPOINT).exists())
+    train(run_folder, config, resume=(run_folder / CHECKPOINT).exists())
     trained = f"ppo:{run_folder}"
 
     with warnings.catch_warnings():
