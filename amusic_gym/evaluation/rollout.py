@@ -99,11 +99,11 @@ def _navigate(
     from amusic_gym.live.navigation import navigate
 
     attributes = {**INFOS, "late_runs": "late_runs", "selections": "selection"}
-    columns: dict[str, list[Any]] = {name: [] for name in attributes}
+    columns: dict[str, list[Any]] = {column: [] for column in attributes}
     options = how._asdict() if isinstance(policy, Selector) else {}
     for sighting in navigate(policy, route, compute_weight=compute_weight, **options):
-        for name, attribute in attributes.items():
-            columns[name].append(getattr(sighting, attribute))
+        for column, attribute in attributes.items():
+            columns[column].append(getattr(sighting, attribute))
     estimates = columns.pop("p_correct")
     if isinstance(policy, Selector):
         columns["p_correct"] = estimates
