@@ -13,7 +13,7 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.evaluation import metrics
 from amusic_gym.evaluation.audit import audit, held, ranking
-from amusic_gym.evaluation.study.tables import Table
+from amusic_gym.evaluation.tables import Table
 from amusic_gym.policies.protocol import Context
 from amusic_gym.policies.trace import Trace
 from amusic_gym.routes.retime import retime

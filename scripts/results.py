@@ -17,8 +17,8 @@ from typing import Any
 from _cli import Parser, destination, pairs, run
 
 from amusic_gym.banks.bank import COST_MODELS, ScoreBank
-from amusic_gym.cli.rivals import study_rivals
 from amusic_gym.evaluation.study import figures
+from amusic_gym.evaluation.study.rivals import study_rivals
 from amusic_gym.evaluation.study.tables import tables
 from amusic_gym.extraction import extract
 from amusic_gym.routes.folders import ImageFolder

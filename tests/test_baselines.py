@@ -178,7 +178,7 @@ def test_runs_on_one_technique_one_frame_one_place(spec):
         ("amusci", r"unknown policy 'amusci': did you mean 'amusic'\? valid: raw, single, "),
         ("", "unknown policy '': valid: raw, single, subset, music, amusic, random, periodic"),
         ("AMUSIC", "unknown policy 'AMUSIC': did you mean 'amusic'"),
-        ("ppo", "unknown policy 'ppo': valid"),
+        ("ppu", "unknown policy 'ppu': did you mean 'ppo'"),
         ("raw", "policy 'raw' needs an argument; write raw:NAME"),
         ("raw:", "policy 'raw' needs an argument; write raw:NAME"),
         ("single", "policy 'single' needs an argument; write single:NAME"),

@@ -7,7 +7,7 @@ from amusic_baselines import make_policy
 from env_cases import random_bank
 
 from amusic_gym.evaluation.bounds import gap_closed, is_fixed, single_best, virtual_best
-from amusic_gym.evaluation.comparison import all_subsets
+from amusic_gym.evaluation.contestants import all_subsets
 from amusic_gym.evaluation.metrics import mean_rows, summarise
 from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.policies.protocol import Context

@@ -7,6 +7,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+import amusic_baselines
 import numpy as np
 import pytest
 from amusic_baselines import make_policy
@@ -15,13 +16,10 @@ from test_rollout import Cycle, assert_same
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.estimation.settings import SICSettings
-from amusic_gym.evaluation import comparison_files
+from amusic_gym.evaluation import store
 from amusic_gym.evaluation.audit import audit
 from amusic_gym.evaluation.comparison import (
     Comparison,
-    Contestant,
-    all_subsets,
-    check_weights,
     compare,
     distinct,
     draw,
@@ -29,10 +27,13 @@ from amusic_gym.evaluation.comparison import (
     partings,
     table,
 )
+from amusic_gym.evaluation.contestants import Contestant, all_subsets, check_weights, contestants
 from amusic_gym.evaluation.metrics import summarise
 from amusic_gym.evaluation.rollout import rollout
+from amusic_gym.extraction.code import key_of
 from amusic_gym.policies.protocol import Context
 from amusic_gym.policies.trace import Trace
+from amusic_gym.utils.imports import PACKAGE
 
 ROW_KEYS = [
     "bank",
@@ -234,7 +235,7 @@ def test_25_whatever_may_change_a_row_makes_it_run_again(tmp_path, monkeypatch, 
     bank = random_bank(1, queries=20)
     compare([bank], Lineup("random:0.5"), tmp_path, report=len)
     if "code" in change:
-        monkeypatch.setattr(comparison_files, "code_digest", lambda package: "changed")
+        monkeypatch.setattr(store, "code_digest", lambda *files: "changed")
     if "release" in change:
         monkeypatch.setattr("amusic_gym.evaluation.comparison.__version__", "9.9")
     lineup = Lineup("random:0.5", version=change.get("version", ""))
@@ -247,40 +248,36 @@ def test_bank_on_disk_is_known_by_its_content(tmp_path):
     bank = random_bank(1)
     stored = ScoreBank.load(bank.save(tmp_path / "bank"))
     other = ScoreBank.load(random_bank(2, name="bank1").save(tmp_path / "other"))
-    identity = comparison_files.bank_identity
+    identity = store.bank_identity
     assert identity(stored) == identity(ScoreBank.load(tmp_path / "bank"))
     assert identity(stored) != identity(other)
     assert identity(stored) != identity(stored.subset(["T0", "T1"]))
     assert identity(stored) != identity(stored.with_costs("runs"))
 
 
-def test_code_digest_changes_with_names_and_contents(tmp_path):
-    digest = comparison_files.code_digest
-    seen = {digest(tmp_path)}
-    for name, text in [("a.py", "1"), ("a.py", "2"), ("b.json", "2"), ("a.txt", "2")]:
-        (tmp_path / name).write_text(text, encoding="utf-8")
-        seen.add(digest(tmp_path))
-    assert len(seen) == 4  # the text file is no code
+def test_53_a_policy_s_version_is_that_of_its_own_file_and_of_all_that_it_imports():
+    folder = Path(amusic_baselines.__file__).parent
+    sources = store.sources(folder / "voi.py", folder, PACKAGE)
+    names = {path.name for path in sources}
+    assert {"voi.py", "costs.py", "registry.py", "observation.py", "calibration.json"} <= names
+    assert "cascade.py" not in names
+    cascade, voi, idle = contestants(["cascade", "voi", "voi:idle"])
+    assert cascade.version != voi.version == idle.version
 
 
-@pytest.mark.parametrize(
-    ("version", "lines"), [(1, 1), (2, 1), (comparison_files.FORMAT_VERSION, 2)]
-)
-def test_23_row_of_an_older_format_is_computed_again(tmp_path, said, version, lines):
+def test_23_a_row_that_lacks_something_is_computed_again(tmp_path, said):
     bank = random_bank(1, queries=20)
     first = compare([bank], Lineup("music"), tmp_path, report=len)
     (path,) = (tmp_path / "rows").iterdir()
     content = path.read_bytes()
     body = json.loads(content)
     del body["checksum"], body["trace"]["similarity"]
-    body["format"] = version
-    body = {"checksum": comparison_files._digest(body), **body}
+    body = {"checksum": key_of(**body), **body}
     path.write_text(json.dumps(body), encoding="utf-8")
     lineup = Lineup("music")
     again = compare([bank], lineup, tmp_path, report=said.append)
     assert len(lineup.runs) == 1
-    assert [line for line in said if "damaged" in line] == said[:-1]
-    assert len(said) == lines  # an older one is no damage
+    assert ["damaged" in line for line in said] == [True, False]
     assert again.rows == first.rows
     assert path.read_bytes() == content
 

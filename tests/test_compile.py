@@ -21,6 +21,7 @@ from amusic_gym.utils.imports import PACKAGE, digest_of, source_files
 
 KERNELS = [
     step.choose_routes,
+    step.select_routes,
     step.observe_routes,
     update.update_routes,
     look_back.look_back,

@@ -9,8 +9,9 @@ from types import SimpleNamespace
 import pytest
 from amusic_agents.config import RolloutConfig, TrainingConfig
 
-from amusic_gym.cli import demo, demo_tours, rivals, start
+from amusic_gym.cli import demo, demo_tours, start
 from amusic_gym.cli import demo_story as story
+from amusic_gym.evaluation.study import rivals
 from amusic_gym.routes.simulate import simulate
 
 

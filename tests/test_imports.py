@@ -97,6 +97,18 @@ def test_policies_that_are_not_learned_need_no_network():
     assert not loaded.intersection(set(HEAVY) - {"numba"})
 
 
+@pytest.mark.parametrize("words", [[], ["bank"], ["bank", "images"]])
+def test_help_is_quick(words):
+    """What it shows is read from modules that load nothing heavy."""
+    loaded = loaded_after(
+        "import contextlib, sys\n"
+        f"sys.argv = ['amusic', *{words}, '--help']\n"
+        "from amusic_gym.cli import main\n"
+        "with contextlib.suppress(SystemExit): main()"
+    )
+    assert not loaded.intersection(HEAVY)
+
+
 @pytest.mark.parametrize("package", ALLOWED)
 def test_packages_import_one_way(package):
     wrong = []

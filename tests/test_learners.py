@@ -6,29 +6,29 @@ import json
 import shutil
 import zipfile
 from pathlib import Path
+from pkgutil import resolve_name
 
 import numpy as np
 import pytest
 import torch
-from amusic_agents import learners, subsets
-from amusic_agents.config import TrainingConfig, training_config
-from amusic_agents.evaluation import HeldOut
-from amusic_agents.learners import ALGORITHMS, KINDS
-from amusic_agents.learners.reselect import (
+from amusic_agents import subsets
+from amusic_agents.config import ALGORITHMS, TrainingConfig, training_config
+from amusic_agents.network import PRESENT, ROUTE_WIDTH, WIDTH
+from amusic_agents.ppo import ReselectLearner
+from amusic_agents.reselect import (
     FIRST_LOGIT,
     HeldSelection,
     ReselectNetwork,
     ReselectSelector,
     ReselectSizes,
 )
-from amusic_agents.network import PRESENT, ROUTE_WIDTH, WIDTH
 from amusic_agents.run_folder import CHECKPOINT, SELECTOR, read_tensors
-from amusic_agents.selector import load_selector
+from amusic_agents.selector import KINDS, load_selector
 from amusic_agents.subsets import SubsetNetwork, SubsetSelector, SubsetSizes
-from amusic_agents.training import make_model, train
+from amusic_agents.training import train
 from env_cases import random_bank
-from safetensors.torch import load_file
-from small_training import SMALL
+from safetensors.torch import load_file, save_file
+from small_training import SMALL, Quick
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
@@ -43,18 +43,10 @@ def small(**changes) -> TrainingConfig:
     return training_config("reselect", **{**SMALL, "timesteps": 96, **changes})
 
 
-class Quick(HeldOut):
-    """Held-out routes that take no time."""
-
-    def __init__(self, routes: int, statistic: str) -> None:
-        self.jobs = [Job(random_bank(77, queries=12), 0.5)]
-        self.statistic = statistic
-
-
 @pytest.fixture(autouse=True, scope="module")
 def quick():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("amusic_agents.training.HeldOut", Quick)
+        patch.setattr("amusic_agents.records.HeldOut", Quick)
         yield
 
 
@@ -134,32 +126,32 @@ def test_the_same_seed_gives_the_same_weights(run, tmp_path):
     assert (run / SELECTOR).read_bytes() == (tmp_path / SELECTOR).read_bytes()
 
 
-def test_unknown_algorithms_and_kinds_are_refused_with_the_nearest():
+def test_unknown_algorithms_and_kinds_are_refused_with_the_nearest(run, tmp_path):
     with pytest.raises(ValueError, match="algorithm 'reselct'.*'reselect'"):
         TrainingConfig(algorithm="reselct")
     with pytest.raises(ValueError, match="algorithm 'pqo'.*'ppo'"):
-        learners.learner("pqo")
+        training_config("pqo")
+    again = Path(shutil.copytree(run, tmp_path / "run"))
+    tensors, _ = read_tensors(again / SELECTOR)
+    save_file(tensors, again / SELECTOR, {"network": json.dumps({"kind": "subset"})})
     with pytest.raises(ValueError, match="kind of selector 'subset'.*'subsets'"):
-        learners.kind("subset")
-    with pytest.raises(
-        ValueError, match="'imitation' does not learn step by step from rewards; call"
-    ):
-        learners.learner("imitation")
+        load_selector(again)
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_every_algorithm_has_defaults(algorithm):
+def test_every_algorithm_has_defaults_and_trains_a_kind_that_loads(algorithm):
     assert training_config(algorithm, seed=3).algorithm == algorithm
+    assert resolve_name(ALGORITHMS[algorithm]).kind in KINDS.values()
 
 
 @pytest.mark.parametrize("name", KINDS)
 def test_every_kind_is_stored_under_its_name_and_refuses_sizes(name):
-    kind = learners.kind(name)
-    assert kind.name == name
-    network = kind.network(kind.sizes(hidden=8))
-    assert isinstance(kind.selector(network, STATISTIC, None).needs.statistic, str)
+    kind = KINDS[name]
+    assert kind.kind == name
+    network = kind.network_type(kind.sizes_type(hidden=8))
+    assert isinstance(kind(network, STATISTIC, None).needs.statistic, str)
     with pytest.raises(ValueError, match="hidden is 0; give a whole number from 1 to"):
-        kind.sizes(hidden=0)
+        kind.sizes_type(hidden=0)
 
 
 # ---- subsets -------------------------------------------------------------------------------
@@ -296,7 +288,7 @@ def test_the_learned_rate_is_kept(rate):
 
 def test_training_and_driving_hold_the_same_selection():
     """What the environment of the training runs is what the selector asks for."""
-    model = make_model(small(), Banks([random_bank(1), random_bank(2, queries=25)]))
+    model = ReselectLearner.make_model(small(), Banks([random_bank(1), random_bank(2, queries=25)]))
     selector = reselect_selector(0.0)
     env = model.env.env
     seen, info = env.reset(seed=0)

@@ -7,23 +7,23 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from amusic_agents.config import TrainingConfig, stored
+from amusic_agents.config import TrainingConfig
 from amusic_agents.network import SelectorNetwork
-from amusic_agents.run_folder import CONFIG, read_config, write_config, write_selector
+from amusic_agents.run_folder import CONFIG, read_config, stored, write_config, write_selector
 from amusic_agents.selector import learned_from_truth
 from amusic_agents.shipped import SHIPPED, shipped
 from env_cases import random_bank
 from small_training import SMALL
 from test_study import EVERYBODY, learned, plan_of
 
-from amusic_gym.cli.contestants import contestants
-from amusic_gym.cli.study_policies import Lineup
 from amusic_gym.evaluation import study
 from amusic_gym.evaluation.comparison import compare, table
-from amusic_gym.evaluation.marks import footnote, marked
+from amusic_gym.evaluation.contestants import contestants
 from amusic_gym.evaluation.report import write_report
 from amusic_gym.evaluation.study.figures import _styles
-from amusic_gym.evaluation.study.tables import Table, tables
+from amusic_gym.evaluation.study.lineup import Lineup
+from amusic_gym.evaluation.study.tables import tables
+from amusic_gym.evaluation.tables import Table, footnote, marked
 
 NEEDS = {"oracle": "of the route itself", "switchhit": "of routes to learn from"}
 

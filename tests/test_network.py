@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 from amusic_agents.adapter import SB3VecEnv
-from amusic_agents.config import TrainingConfig
-from amusic_agents.network import ABSENT, ROUTE_WIDTH, WIDTH, NetworkConfig, SelectorNetwork
+from amusic_agents.config import NetworkConfig, TrainingConfig
+from amusic_agents.network import ABSENT, ROUTE_WIDTH, WIDTH, SelectorNetwork
+from amusic_agents.ppo import PPOLearner
 from amusic_agents.selector import TrainedSelector
-from amusic_agents.training import make_model
 from env_cases import random_bank
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -116,7 +116,7 @@ def test_any_number_of_techniques_is_driven_by_the_same_weights(techniques):
 def test_the_policy_samples_no_empty_slot_and_learns_on_mixed_ensembles():
     banks = [random_bank(n, techniques=n, queries=8) for n in (1, 3, 5)]
     config = TrainingConfig(n_envs=6, n_steps=16, epochs=1)
-    model = make_model(config, Banks(banks, aligned=False))
+    model = PPOLearner.make_model(config, Banks(banks, aligned=False))
     before = {k: v.clone() for k, v in model.policy.state_dict().items()}
     model.learn(2 * config.rollout)  # the learning rate falls to 0 at the last update
     after = model.policy.state_dict()
@@ -133,7 +133,7 @@ def test_the_policy_and_the_selector_agree():
     env = SB3VecEnv(
         TechniqueSelectionVectorEnv(4, random_bank(1), autoreset_mode="SameStep", allow_idle=True)
     )
-    model = make_model(TrainingConfig(n_envs=4), env.env.task.source)
+    model = PPOLearner.make_model(TrainingConfig(n_envs=4), env.env.task.source)
     net = model.policy.mlp_extractor
     env.reset()
     observation, *_ = env.step(np.ones((4, 3)))

@@ -8,7 +8,7 @@ from itertools import combinations, product
 import numpy as np
 import oracle as loops
 import pytest
-from amusic_baselines import NEEDS_GROUND_TRUTH, POLICIES, label, make_policy
+from amusic_baselines import POLICIES, make_policy
 from amusic_baselines.borda import Borda, points
 from amusic_baselines.cascade import Cascade
 from amusic_baselines.dynmpf import DynamicFusion, subsets
@@ -32,6 +32,7 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.evaluation.metrics import summarise
 from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.policies.protocol import Context, Localiser
+from amusic_gym.policies.registry import parse
 
 SPECS = [
     *("raw:T1", "single:T0", "subset:T0+T2", "music", "amusic", "amusic:evidence", "random:0.5"),
@@ -253,12 +254,12 @@ def test_arguments_are_refused(spec, sentence, four):
 
 
 def test_policies_that_need_ground_truth_are_marked():
-    assert set(NEEDS_GROUND_TRUTH) == {"oracle", "switchhit"}
-    assert set(NEEDS_GROUND_TRUTH) <= set(POLICIES)
-    assert label("switchhit:0.5") == "switchhit:0.5 (needs ground truth of routes to learn from)"
-    assert label("oracle") == "oracle (needs ground truth of the route itself)"
-    assert label("mpf:10") == "mpf:10"
-    assert label("ppo:switchhit") == "ppo:switchhit"
+    needs = {name: one.needs_truth for name, one in POLICIES.items() if one.needs_truth}
+    assert needs == {"oracle": "of the route itself", "switchhit": "of routes to learn from"}
+    assert parse("switchhit:0.5").label == "SwitchHit-style † (0.5)"
+    assert parse("oracle").label == "oracle †"
+    assert parse("mpf:10").label == "MPF (10)"
+    assert parse("ppo:switchhit").label == "selector switchhit"
 
 
 # ---- what they share -----------------------------------------------------------------------------

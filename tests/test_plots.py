@@ -22,6 +22,7 @@ from amusic_gym.evaluation import metrics, plots
 from amusic_gym.evaluation.plots import drawing as drawing_module
 from amusic_gym.evaluation.plots import labels, tradeoff
 from amusic_gym.evaluation.report import ReportFigure, write_report
+from amusic_gym.policies.registry import parse, policies
 from amusic_gym.policies.trace import Trace
 from amusic_gym.utils import colours
 
@@ -130,7 +131,8 @@ def test_every_figure_is_a_whole_png_and_nothing_global_changes(tmp_path: Path) 
 
 def test_drawing_imports_no_pyplot_and_importing_plots_no_matplotlib(tmp_path: Path) -> None:
     code = (
-        "import sys; from amusic_gym import plots; assert 'matplotlib' not in sys.modules\n"
+        "import sys\nfrom amusic_gym.evaluation import plots\n"
+        "assert 'matplotlib' not in sys.modules\n"
         "rows = [dict(bank='b', costs='runs', policy='music', compute_weight=None,"
         " compute=1.0, auc=0.5)]\n"
         f"plots.front(rows, {str(tmp_path / 'f.png')!r})\n"
@@ -179,10 +181,9 @@ def test_front_labels_do_not_cover_each_other(tmp_path: Path, drawn: list[Figure
 
 
 def test_pareto_keeps_what_nothing_cheaper_reaches() -> None:
-    points = [(c, a, {"policy": str(i)}) for i, (c, a) in enumerate(
-        [(0.5, 0.6), (0.1, 0.5), (0.1, 0.4), (0.2, 0.5), (0.9, 0.7), (1.0, 0.65)]
-    )]  # fmt: skip
-    assert [p[2]["policy"] for p in tradeoff.pareto(points)] == ["1", "0", "4"]
+    points = [(0.5, 0.6), (0.1, 0.5), (0.1, 0.4), (0.2, 0.5), (0.9, 0.7), (1.0, 0.65)]
+    rows = [{"compute": compute, "auc": auc} for compute, auc in points]
+    assert tradeoff.pareto(rows) == [rows[1], rows[0], rows[4]]
 
 
 def test_selections_show_runs_late_runs_and_selections(tmp_path: Path, drawn: list[Figure]) -> None:
@@ -220,8 +221,8 @@ def test_colours_are_steady_and_distinct() -> None:
     assert colours.technique_colours(["CALC"])["CALC"] == colours.technique_colours(NAMES)["CALC"]
     many = colours.technique_colours([f"T{i}" for i in range(16)])
     assert len(set(many.values())) == 16
-    policies = {labels.policy_mark(policy)[0] for policy in labels.POLICY_MARKS}
-    assert not (policies | set(labels.SWEEP_COLOURS)) & set(colours.TECHNIQUE_COLOURS)
+    used = {policy.colour for policy in policies().values()}
+    assert not (used | set(labels.SWEEP_COLOURS)) & set(colours.TECHNIQUE_COLOURS)
 
 
 @pytest.mark.parametrize(
@@ -268,11 +269,11 @@ def test_the_legend_of_a_front_is_within_the_figure(tmp_path: Path, drawn: list[
 
 @pytest.mark.parametrize("kind", ["random:0.5", "periodic:5/HOG", "voi:0.2"])
 def test_what_may_idle_is_drawn_as_a_variant(kind: str) -> None:
-    assert labels.is_variant(f"{kind}/idle")
-    assert not labels.is_variant(kind)
-    assert labels.is_variant("voi:idle")
-    assert not labels.is_variant("single:idle")
-    assert labels.policy_mark(f"{kind}/idle") == labels.policy_mark(kind) != labels.OTHER_MARK
+    assert parse(f"{kind}/idle").is_variant
+    assert not parse(kind).is_variant
+    assert parse("voi:idle").is_variant
+    assert not parse("single:idle").is_variant
+    assert parse(f"{kind}/idle").policy is parse(kind).policy
 
 
 def test_odd_names_are_drawn_as_they_are(tmp_path: Path, drawn: list[Figure]) -> None:
@@ -346,7 +347,7 @@ def test_report_is_self_contained_and_says_what_it_was_given(tmp_path: Path) -> 
         assert part in words, part
     assert page.opened.count("table") == 2
     assert page.opened.count("tr") == 2 * (1 + len(some_rows()))
-    assert 'alt="What the &quot;compute&quot; buys"' in text
+    assert 'alt="What the &#34;compute&#34; buys"' in text
 
 
 def test_report_writes_a_dash_for_no_median_error(tmp_path: Path) -> None:

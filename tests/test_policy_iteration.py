@@ -9,27 +9,28 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from amusic_agents import policy_iteration
-from amusic_agents.config import (
-    RolloutConfig,
-    TrainingConfig,
-    stored_banks,
-    stored_config,
-    training_config,
-)
-from amusic_agents.evaluation import HeldOut
+from amusic_agents import policy_iteration, records
+from amusic_agents.config import RolloutConfig, TrainingConfig, training_config
 from amusic_agents.network import PRESENT, ROUTE_WIDTH, WIDTH
 from amusic_agents.policy_iteration import (
-    PACE,
-    Behaviour,
+    ACTION_REPEAT,
+    BehaviourPolicy,
     Samples,
     draw_subset,
     draw_subsets,
-    iterate_policy,
     learn,
     roll_out,
 )
-from amusic_agents.run_folder import CHECKPOINT, CONFIG, EVALUATIONS, SELECTOR, write_tensors
+from amusic_agents.run_folder import (
+    CHECKPOINT,
+    CONFIG,
+    EVALUATIONS,
+    SELECTOR,
+    read_tensors,
+    stored_banks,
+    stored_config,
+    write_tensors,
+)
 from amusic_agents.selector import load_selector
 from amusic_agents.subsets import (
     SubsetNetwork,
@@ -39,20 +40,21 @@ from amusic_agents.subsets import (
     members,
     valid,
 )
-from amusic_agents.training import make_model
+from amusic_agents.training import train
 from env_cases import random_actions, random_bank
 from live_cases import pair
 from safetensors.torch import load_file
-from small_training import SMALL, contents, stop_at
+from small_training import SMALL, Quick, contents, stop_at
+from stable_baselines3.common.callbacks import CheckpointCallback
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.envs.observation import TECHNIQUE_FEATURES
 from amusic_gym.envs.outcome import Outcome
-from amusic_gym.envs.sources import Banks, SimulatedRoutes
+from amusic_gym.envs.sources import Banks
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.estimation.settings import SICSettings
-from amusic_gym.evaluation.rollout import Job, rollout
+from amusic_gym.evaluation.rollout import rollout
 
 STATISTIC = SICSettings.statistic
 TRUST = TECHNIQUE_FEATURES.index("trust")
@@ -63,18 +65,10 @@ TRIED: dict[str, Any] = {
 """Four iterations of eight states; of the last two's is learned."""
 
 
-class Quick(HeldOut):
-    """Held-out routes that take no time."""
-
-    def __init__(self, routes: int, statistic: str) -> None:
-        self.jobs = [Job(random_bank(77, queries=12), 0.5)]
-        self.statistic = statistic
-
-
 @pytest.fixture(autouse=True, scope="module")
 def quick():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("amusic_agents.policy_iteration.HeldOut", Quick)
+        patch.setattr("amusic_agents.records.HeldOut", Quick)
         yield
 
 
@@ -181,7 +175,7 @@ def test_live_routes_are_not_copied(tmp_path):
     with pytest.raises(ValueError, match="a live route cannot be copied; give score banks"):
         env.task.repeated(2)
     with pytest.raises(ValueError, match="a live route cannot be copied; give score banks"):
-        iterate_policy(tmp_path, small(n_envs=1), banks=[pair()[1]], progress=False)
+        train(tmp_path, small(n_envs=1), banks=[pair()[1]], progress=False)
 
 
 # ---- what subsets are tried ----------------------------------------------------------------
@@ -236,7 +230,7 @@ class Constant:
 
 def spells(seed: int, share: float, policy: Any = None, frames: int = 300) -> np.ndarray:
     """(frames, N, S) actions of six techniques, one of them absent."""
-    drives = Behaviour(4, 6, policy, share, np.random.default_rng(seed))
+    drives = BehaviourPolicy(4, 6, policy, share, np.random.default_rng(seed))
     present = np.ones((4, 6), np.bool_)
     present[:, 3] = False
     seen = np.zeros((4, 1), np.float32)
@@ -300,7 +294,7 @@ class ByHand:
         action, correctness, compute, observation = subset, 0.0, 0.0, None
         for frame in range(self.settings.horizon):
             since = frame - self.settings.hold
-            if self.policy and since >= 0 and since % PACE == 0:
+            if self.policy and since >= 0 and since % ACTION_REPEAT == 0:
                 action = self.policy.act(observation[None], {})[0]
             observation, reward, ended, _, info = env.step(action)
             self.ran.append(tuple(info["ran"].tolist()))
@@ -480,7 +474,7 @@ def test_the_technique_that_is_always_right_is_found(tmp_path):
         compute_weights=(weight, weight),
         rollouts={**tried, "epochs": 20, "batch_size": 32, "learning_rate": 4e-3},
     )
-    selector = iterate_policy(tmp_path, config, banks=[bank], progress=False)
+    selector = train(tmp_path, config, banks=[bank], progress=False)
     ran = rollout(selector, bank, name="x", compute_weight=weight).ran[5:]
     assert ran[:, 1].mean() > 0.9
     assert ran[:, [0, 2]].mean() < 0.1
@@ -491,7 +485,7 @@ def whole(tmp_path_factory, quick) -> Path:
     """A training that was not stopped, beside its banks."""
     folder = tmp_path_factory.mktemp("whole")
     folders = [bank.save(folder / bank.name) for bank in banks()]
-    iterate_policy(folder / "run", small(), banks=folders, progress=False)
+    train(folder / "run", small(), banks=folders, progress=False)
     return folder / "run"
 
 
@@ -519,7 +513,7 @@ def test_the_last_iterations_are_learned_from_but_the_first_only_at_first(
         return learn(network, seen, settings, rng)
 
     monkeypatch.setattr(policy_iteration, "learn", noting)
-    iterate_policy(tmp_path, small(), banks=stored_banks(whole), progress=False)
+    train(tmp_path, small(), banks=stored_banks(whole), progress=False)
     first, second, third, fourth = learned
     assert [len(seen) for seen in learned] == [1, 1, 2, 2]
     assert first != second
@@ -541,7 +535,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_others(whole, tmp_pa
     folders = stored_banks(whole)
     for seed in (0, 1):
         config = small(seed=seed)
-        iterate_policy(tmp_path / str(seed), config, banks=folders, progress=False)
+        train(tmp_path / str(seed), config, banks=folders, progress=False)
     assert contents(tmp_path / "0") == contents(whole)
     assert (tmp_path / "1" / SELECTOR).read_bytes() != (whole / SELECTOR).read_bytes()
 
@@ -552,7 +546,7 @@ def test_processes_change_nothing_in_what_is_learned(whole, tmp_path):
     for threads in (1, 2):
         config = small(n_envs=100, threads=threads, rollouts={**tried, "epochs": 1})
         run = tmp_path / str(threads)
-        iterate_policy(run, config, banks=stored_banks(whole), progress=False)
+        train(run, config, banks=stored_banks(whole), progress=False)
         found.append(contents(run))
         del found[-1][CONFIG]  # which says how many there were
     assert found[0] == found[1]
@@ -566,7 +560,7 @@ def test_processes_change_nothing_in_what_is_learned(whole, tmp_path):
         (policy_iteration, "learn", 2, 1),
         (policy_iteration, "learn", 4, 3),
         (Quick, "evaluate", 3, 2),
-        (policy_iteration, "write_tensors", 2, 1),  # the second iteration's checkpoint
+        (records, "write_tensors", 2, 1),  # the second iteration's checkpoint
     ],
 )
 def test_a_stopped_training_keeps_what_is_finished_and_goes_on_to_the_same_bits(
@@ -576,22 +570,22 @@ def test_a_stopped_training_keeps_what_is_finished_and_goes_on_to_the_same_bits(
     with monkeypatch.context() as patch:
         stop_at(patch, owner, name, call)
         with pytest.raises(KeyboardInterrupt):
-            iterate_policy(run, small(), banks=stored_banks(whole), progress=False)
+            train(run, small(), banks=stored_banks(whole), progress=False)
     assert len((run / EVALUATIONS).read_text().splitlines()) == 1 + finished
     assert (run / SELECTOR).exists() == (finished > 0)
     if finished:
         assert rollout(load_selector(run), random_bank(3), name="x").ran.any()
         with pytest.raises(ValueError, match="holds a training already"):
-            iterate_policy(run, small(), banks=stored_banks(whole), progress=False)
-    iterate_policy(run, small(seed=9), resume=True, progress=False)
+            train(run, small(), banks=stored_banks(whole), progress=False)
+    train(run, small(seed=9), resume=True, progress=False)
     assert contents(run) == contents(whole)
-    iterate_policy(run, small(), resume=True, progress=False)  # finished
+    train(run, small(), resume=True, progress=False)  # finished
     assert contents(run) == contents(whole)
 
 
 def test_there_must_be_something_to_resume(tmp_path):
     with pytest.raises(FileNotFoundError):
-        iterate_policy(tmp_path, small(), resume=True, progress=False)
+        train(tmp_path, small(), resume=True, progress=False)
 
 
 def copied(run: Path, to: Path) -> tuple[Path, dict[str, torch.Tensor], dict[str, str]]:
@@ -599,7 +593,7 @@ def copied(run: Path, to: Path) -> tuple[Path, dict[str, torch.Tensor], dict[str
     to.mkdir()
     for path in run.iterdir():
         (to / path.name).write_bytes(path.read_bytes())
-    tensors, metadata = policy_iteration.read_tensors(to / CHECKPOINT)
+    tensors, metadata = read_tensors(to / CHECKPOINT)
     return to, tensors, metadata
 
 
@@ -628,7 +622,7 @@ def test_damaged_checkpoints_are_refused(whole, tmp_path, damage):
         path.write_bytes(path.read_bytes()[:-100])
     before = {file.name: file.read_bytes() for file in run.iterdir()}
     with pytest.raises(ValueError, match=r"checkpoint\.safetensors.*train"):
-        iterate_policy(run, small(), resume=True, progress=False)
+        train(run, small(), resume=True, progress=False)
     assert {file.name: file.read_bytes() for file in run.iterdir()} == before
 
 
@@ -651,12 +645,12 @@ def test_bad_settings_are_refused(changes, sentence):
 def test_routes_of_more_techniques_than_can_be_tried_are_refused(tmp_path):
     routes = Banks([random_bank(1, techniques=11, queries=9)])
     with pytest.raises(ValueError, match="11 techniques.*at most 10"):
-        iterate_policy(tmp_path / "run", small(), source=routes, progress=False)
+        train(tmp_path / "run", small(), source=routes, progress=False)
 
 
 def test_a_selector_may_idle_where_it_learned_to(tmp_path):
     config = small(allow_idle=True, compute_weights=(4.0, 4.0))
-    selector = iterate_policy(tmp_path / "run", config, progress=False)
+    selector = train(tmp_path / "run", config, progress=False)
     assert selector.needs.allow_idle
     assert load_selector(tmp_path / "run").needs.allow_idle
     present = torch.ones(1, 3, dtype=torch.bool)
@@ -679,11 +673,10 @@ def test_other_algorithms_learn_no_idling():
         TrainingConfig(allow_idle=True)
 
 
-def test_it_is_no_algorithm_that_learns_step_by_step():
-    with pytest.raises(
-        ValueError, match=r"call amusic_agents.imitation.imitate or .*iterate_policy"
-    ):
-        make_model(small(), SimulatedRoutes(pool=1))
+def test_callbacks_of_stable_baselines3_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="'rollouts' takes no callbacks of Stable-Baselines3"):
+        train(tmp_path / "run", small(), callbacks=[CheckpointCallback(1, "x")], progress=False)
+    assert not (tmp_path / "run").exists()
 
 
 # ---- the command ---------------------------------------------------------------------------

@@ -19,10 +19,11 @@ import numpy as np
 import pytest
 import small_training
 import torch
-from amusic_agents import keeper as keeper_module
+from amusic_agents import records as records_module
+from amusic_agents import run_folder
 from amusic_agents.config import TrainingConfig
 from amusic_agents.evaluation import HeldOut
-from amusic_agents.keeper import Keeper
+from amusic_agents.ppo import PPOLearner
 from amusic_agents.run_folder import CHECKPOINT, EVALUATIONS, SELECTOR, read_tensors
 from amusic_agents.selector import load_selector
 from amusic_agents.training import train
@@ -181,6 +182,7 @@ def test_31_weights_of_another_network_are_refused_by_layer(copy, command):
     change(copy, SELECTOR, {"conv1.weight": torch.zeros(3)})
     with pytest.raises(ValueError, match="layer 'conv1.weight' .* needs none"):
         load_selector(copy)
+    change(copy, SELECTOR, {"conv1.weight": None})
     change(copy, CHECKPOINT, {"policy.value_net.weight": torch.zeros(1, 3)})
     status, lines = command("--out", copy, "--resume", "--timesteps", 128)
     assert status == 2
@@ -205,7 +207,7 @@ def test_34_52_a_stop_of_the_command_saves_a_checkpoint(
     tmp_path, bank_folder, command, number, status
 ):
     run = tmp_path / "run"
-    code = small_training.signal_at("amusic_agents.keeper", "Keeper._on_step", 13, number)
+    code = small_training.signal_at("amusic_agents.ppo", "PPOLearner._on_step", 13, number)
     options = ("--out", run, "--bank", bank_folder, "--seed", 1)
     ended = train_script(*options, "--timesteps", 320, code=code)
     assert ended.returncode == status, ended.stderr
@@ -226,10 +228,10 @@ def test_34_52_a_stop_of_the_command_saves_a_checkpoint(
     [
         (HeldOut, "evaluate", 1),  # after 64 frames
         (HeldOut, "evaluate", 2),  # the last one, after 96
-        (keeper_module, "write_selector", 1),
-        (keeper_module, "write_tensors", 2),  # 1 is the empty one before the first frame
-        (keeper_module, "write_whole", 2),  # 1 as well
-        (Keeper, "_on_step", 10),
+        (records_module, "write_selector", 1),
+        (records_module, "write_tensors", 2),  # 1 is the empty one before the first frame
+        (records_module, "write_table", 3),  # 1 and 2 as well
+        (PPOLearner, "_on_step", 10),
     ],
 )
 def test_34_ctrl_c_during_an_evaluation_or_a_write_is_survived(
@@ -259,7 +261,7 @@ def test_34_ctrl_c_within_a_write_leaves_the_old_file(copy, monkeypatch):
     interrupt(monkeypatch, __import__("os"), "replace", 1)
     tensors, metadata = read_tensors(copy / CHECKPOINT)
     with pytest.raises(KeyboardInterrupt):
-        keeper_module.write_tensors(copy / CHECKPOINT, tensors, metadata)
+        run_folder.write_tensors(copy / CHECKPOINT, tensors, metadata)
     assert {file.name: file.read_bytes() for file in copy.glob("*.safetensors")} == before
     assert not list(copy.glob(".*"))
 
@@ -271,7 +273,7 @@ def test_35_a_killed_training_resumes_from_its_last_whole_checkpoint(
     tmp_path, bank_folder, command
 ):
     run = tmp_path / "run"
-    code = small_training.signal_at("amusic_agents.keeper", "Keeper._on_step", 19, signal.SIGKILL)
+    code = small_training.signal_at("amusic_agents.ppo", "PPOLearner._on_step", 19, signal.SIGKILL)
     ended = train_script("--out", run, "--bank", bank_folder, "--timesteps", 160, code=code)
     assert ended.returncode == -signal.SIGKILL, ended.stderr
     assert timesteps(run) == 64
@@ -296,7 +298,7 @@ def test_35_a_training_that_is_killed_before_its_first_frame_resumes(
 ):
     run = tmp_path / "run"
     with monkeypatch.context() as patch:
-        patch.setattr(Keeper, "_on_step", lambda self: sys.exit(9))
+        patch.setattr(PPOLearner, "_on_step", lambda self: sys.exit(9))
         with pytest.raises(SystemExit):
             train(run, small(), banks=[bank_folder], progress=False)
     assert timesteps(run) == 0

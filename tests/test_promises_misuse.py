@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from functools import partial
 
 import gymnasium as gym
@@ -211,13 +212,30 @@ def test_10_zero_envs_are_refused(number, bank):
         ({"coverage": 1.1}, r"coverage \(E\) is 1.1"),
         ({"episode_length": 0}, "episode_length is 0; give a whole number >= 1, or None"),
         ({"slots": 0}, "slots is 0; give a whole number >= 3, or None"),
-        ({"statistik": "mean"}, "'statistik': did you mean 'statistic'. valid: .*candidates"),
     ],
 )
 def test_10_unknown_arguments_are_refused_with_the_valid_ones(wrong, words, bank):
     for way in (TechniqueSelectionEnv, partial(TechniqueSelectionVectorEnv, 2)):
         with pytest.raises(ValueError, match=words):
             way(bank, **wrong)
+
+
+def test_10_an_argument_of_another_name_is_refused_in_python_s_words(bank):
+    words = "unexpected keyword argument 'statistik': .*did you mean 'statistic'.*candidates"
+    for way in (TechniqueSelectionEnv, partial(TechniqueSelectionVectorEnv, 2)):
+        with pytest.raises(TypeError, match=words):
+            way(bank, statistik="mean")
+
+
+def test_the_signatures_of_both_environments_name_the_same_arguments():
+    single, several = (
+        dict(inspect.signature(kind).parameters)
+        for kind in (TechniqueSelectionEnv, TechniqueSelectionVectorEnv)
+    )
+    for own in ("num_envs", "autoreset_mode", "max_episode_steps"):
+        del several[own]
+    assert single == several
+    assert {"statistic", "compute_weight", "render_mode"} < set(single)
 
 
 def test_10_unknown_options_modes_techniques_and_policies_are_refused(bank):

@@ -238,7 +238,7 @@ def headless(monkeypatch):
 
 def test_a_window_that_nobody_would_see_is_refused(headless, monkeypatch):
     for ask in (Window("x").check, lambda: Window("x").show(np.zeros((4, 4, 3), np.uint8))):
-        with pytest.raises(OSError, match=r"no window.*\(no display\).*navigate\.py --video"):
+        with pytest.raises(OSError, match=r"no window.*\(no display\).*amusic navigate --video"):
             ask()
     monkeypatch.setenv("SDL_VIDEODRIVER", "offscreen")
     Window("x").check()  # asked for

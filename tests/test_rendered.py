@@ -165,25 +165,22 @@ def test_traverse_frames_are_those_of_render(worlds):
 def test_a_shift_moves_the_near_more_than_the_far(worlds):
     """A white post at 6 m and at 30 m, camera moved 1 m to the right."""
 
+    def bare(world):
+        for number in range(6):
+            for block in (world.block(number), world._parked(number, 0)):
+                block.planes.clear()
+                block.shadows.clear()
+
     def column(distance, right):
         world = World(1, "street")
+        bare(world)
         post = world.block(0)
-        for name in ("corners", "alongs", "ups", "keys", "facing", "reach", "lamps", "shadows"):
-            getattr(post, name).clear()
-        for number in range(1, 6):
-            block = world.block(number)
-            for name in ("corners", "alongs", "ups", "keys", "facing", "reach"):
-                getattr(block, name).clear()
         post.sprite(0.0, distance, 0.5, 4.0, ("pole", 1, 4.0, 0.5))
-        world._parked = lambda number, run: type(post)(number * 24.0)
         camera = Camera(0.0, right, 0.0, 0.0, 1.6, (320, 240))
         look = Look(noise=0)
         with_post = draw(world, camera, look, 0, 0).astype(int)
         empty = World(1, "street")
-        for number in range(6):
-            for name in ("corners", "alongs", "ups", "keys", "facing", "reach"):
-                getattr(empty.block(number), name).clear()
-        empty._parked = world._parked
+        bare(empty)
         change = np.abs(with_post - draw(empty, camera, look, 0, 0)).sum(-1)[:110].sum(0)
         return float((change * np.arange(320)).sum() / change.sum())
 

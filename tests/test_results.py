@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.cli import rivals
+from amusic_gym.evaluation.study import rivals
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from amusic_baselines import READS_COMPUTE_WEIGHT, make_policy
+from amusic_baselines import make_policy
 from amusic_baselines.costs import cheapest, cost_ranks, cost_shares
 from amusic_baselines.periodic import Periodic
 from amusic_baselines.uniform import Uniform
@@ -20,19 +20,19 @@ from test_rollout import assert_same
 from test_study import learned, plan_of
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.cli.contestants import contestants
-from amusic_gym.cli.study_policies import Lineup
 from amusic_gym.envs.observation import TECHNIQUE_FEATURES, observation_size
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.estimation.prediction import IDLE_DECAY
 from amusic_gym.evaluation import study
 from amusic_gym.evaluation.comparison import compare
+from amusic_gym.evaluation.contestants import contestants
 from amusic_gym.evaluation.metrics import summarise
 from amusic_gym.evaluation.rollout import Job, rollout, rollouts
-from amusic_gym.evaluation.study import cells as kinds
 from amusic_gym.evaluation.study.figures import draw
 from amusic_gym.evaluation.study.findings import EVERYONE
+from amusic_gym.evaluation.study.lineup import Lineup
 from amusic_gym.policies.protocol import Context
+from amusic_gym.policies.registry import CASCADE, FRONTS, MAY_IDLE, PEER, PERIODIC, VOI
 from amusic_gym.routes.simulate import planted, simulate
 
 WEIGHTS = (0.01, 0.05, 0.15, 0.4, 1.0)
@@ -332,7 +332,7 @@ def test_it_finds_the_one_good_technique_of_every_regime(seed, statistic):
 
 
 @pytest.mark.filterwarnings("ignore:.*has no correct match")  # at a λ for which it soon idles
-@pytest.mark.parametrize("spec", READS_COMPUTE_WEIGHT)
+@pytest.mark.parametrize("spec", ["voi", "voi:idle"])
 def test_a_larger_compute_weight_is_never_dearer(spec):
     routes = [planted(0), planted(3, regimes=2), *map(simulate, range(2, 12))]
     jobs = [Job(route, weight) for route in routes for weight in WEIGHTS]
@@ -397,12 +397,9 @@ def test_a_study_knows_their_families():
         compute_weights=(0.3, 1.0),
     )
     entrants = lineup.entrants(["A", "B"])
-    assert [one.family for one in entrants] == [
-        *(kinds.PERIODIC, kinds.IDLE, kinds.VOI, kinds.IDLE, kinds.CASCADE, kinds.PEER)
-    ]
-    rules = {kinds.PERIODIC, kinds.VOI, kinds.IDLE}
-    assert rules <= set(kinds.FRONTS)  # so they are rivals of what is learned
-    assert rules <= set(kinds.FAMILIES)
+    assert [one.family for one in entrants] == [*(PERIODIC, MAY_IDLE, VOI, MAY_IDLE, CASCADE, PEER)]
+    rules = {PERIODIC, VOI, MAY_IDLE}
+    assert rules <= set(FRONTS)  # so they are rivals of what is learned
 
 
 def test_a_rule_with_compute_weights_is_a_line_and_a_rival(tmp_path, monkeypatch):

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from amusic_agents.config import TrainingConfig, stored
+from amusic_agents.config import TrainingConfig
 from amusic_agents.network import SelectorNetwork
-from amusic_agents.run_folder import SELECTOR, read_config, write_config, write_selector
+from amusic_agents.run_folder import SELECTOR, read_config, stored, write_config, write_selector
 from amusic_agents.selector import load_selector
 from amusic_agents.shipped import IDLING, PRETRAINED, SHIPPED, shipped
 from env_cases import random_bank
 from small_training import SMALL
 
-from amusic_gym.cli.contestants import contestants
-from amusic_gym.cli.study_policies import Lineup
 from amusic_gym.envs.sources import SimulatedRoutes
 from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.evaluation.contestants import contestants
 from amusic_gym.evaluation.metrics import compute
 from amusic_gym.evaluation.rollout import Job, rollout, rollouts
+from amusic_gym.evaluation.study.lineup import Lineup
 from amusic_gym.policies.protocol import Context
 from amusic_gym.routes.simulate import population
 

@@ -12,27 +12,28 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from amusic_baselines import make_policy
+from amusic_baselines import make_policy, subset
 from env_cases import random_bank
 from test_promises_compare import run, run_and_stop, trained  # noqa: F401  (fixtures)
 from test_rollout import Cycle
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.evaluation import study
+from amusic_gym.evaluation import store, study
 from amusic_gym.evaluation.audit import audit
-from amusic_gym.evaluation.comparison import Contestant
+from amusic_gym.evaluation.contestants import Contestant
 from amusic_gym.evaluation.metrics import mean_rows, summarise
 from amusic_gym.evaluation.rollout import rollout
-from amusic_gym.evaluation.study import Entrant, store
+from amusic_gym.evaluation.study import Entrant, cells
 from amusic_gym.evaluation.study.cells import LABELS
 from amusic_gym.evaluation.study.field import BOTH, SEEDS, Field
 from amusic_gym.evaluation.study.figures import draw
 from amusic_gym.evaluation.study.findings import EVERYONE, ahead
 from amusic_gym.evaluation.study.fronts import GRID, front_at, hypervolume
-from amusic_gym.evaluation.study.tables import Table, tables, text, write_markdown
+from amusic_gym.evaluation.study.tables import tables, text, write_markdown
+from amusic_gym.evaluation.tables import Table
 from amusic_gym.policies.protocol import Context
 from amusic_gym.routes.retime import retime
-from amusic_gym.utils.imports import PACKAGE
+from amusic_gym.utils.imports import PACKAGE, digest_of
 
 WEIGHTS = (0.1, 1.0, 8.0)
 
@@ -141,7 +142,9 @@ def test_seeds_and_conditions_are_those_asked_for():
     assert [c.retiming for c in plan.cells if c.labels["bank"] == "bank1"] == [
         *([4] * 4 + [7] * 4 + [9] * 4)
     ]
-    members = {(c.labels["member"], c.labels["seed"]) for c in plan.cells if c.maker}
+    members = {
+        (c.labels["member"], c.labels["seed"]) for c in plan.cells if c.labels["policy"] == "PPO"
+    }
     assert members == {("PPO0", 4), ("PPO1", 7), ("PPO2", 9)}
 
 
@@ -340,17 +343,32 @@ def changed(path, stamp):
     return before != after
 
 
+def stamp_of(package):
+    """Stamp of the cells that a copy of the package computes."""
+    return digest_of(*store.sources(package / CELLS, package))
+
+
+CELLS = Path(cells.__file__).relative_to(PACKAGE)
+ESTIMATION = PACKAGE / "estimation"
+
+
 def test_53_every_file_that_a_cell_depends_on_is_in_its_stamp(package):
-    measuring = store.sources(package)
+    measuring = store.sources(package / CELLS, package)
     names = {path.relative_to(package).as_posix() for path in measuring}
-    assert {"sic.py", "belief/model.py", "calibration.json", "study/cells.py"} <= names
-    for path in [*measuring[::6], package / "observation.py", package / "belief" / "model.py"]:
-        assert changed(path, partial(store.code, package)), path
+    data = {path.relative_to(PACKAGE).as_posix() for path in ESTIMATION.rglob("*.json")}
+    assert {CELLS.as_posix(), "estimation/sic/update.py", *data} <= names
+    for path in [*measuring[::6], *(package / name for name in data)]:
+        assert changed(path, partial(stamp_of, package)), path
 
 
 def test_53_what_a_cell_runs_is_in_its_stamp():
     ran, plan = set(), plan_of(FIXED[:1], banks(1))
-    sys.setprofile(lambda frame, *_: ran.add(frame.f_code.co_filename))
+
+    def note(frame, *_):
+        if frame.f_code.co_name != "<module>":  # of a parent package that is imported on the way
+            ran.add(frame.f_code.co_filename)
+
+    sys.setprofile(note)
     try:
         for cell in plan.cells[:2]:
             cell.run(plan.bench)
@@ -358,17 +376,19 @@ def test_53_what_a_cell_runs_is_in_its_stamp():
         sys.setprofile(None)
     files = {path for path in map(Path, ran) if PACKAGE in path.parents}
     assert {"episode.py", "retime.py"} <= {path.name for path in files}
-    showing = {path for path in files if path.relative_to(PACKAGE).parts[0] in store._SHOWING}
-    assert files - showing <= set(store.sources())
+    policy = store.sources(Path(subset.__file__), Path(subset.__file__).parent, PACKAGE)
+    assert files <= {*store.sources(PACKAGE / CELLS, PACKAGE), *policy}
 
 
 def test_code_that_only_shows_is_no_part_of_a_cell(package):
-    for name in ("plots/curves.py", "study/tables.py", "routes/rendered/facades.py"):
+    for name in ("evaluation/plots/curves.py", "evaluation/study/tables.py", "worlds/facades.py"):
         assert (package / name).exists()
-        assert not changed(package / name, partial(store.code, package)), name
+        assert not changed(package / name, partial(stamp_of, package)), name
 
 
-@pytest.mark.parametrize("damage", ["truncated", "empty", "garbage", "flipped", "other", "list"])
+@pytest.mark.parametrize(
+    "damage", ["truncated", "empty", "garbage", "flipped", "other", "less", "list"]
+)
 def test_23_a_damaged_cell_is_noticed_and_computed_again(tmp_path, damage):
     plan = plan_of(FIXED[:1], banks(1), conditions=("recorded",))
     first = study.run(plan, tmp_path, report=len)
@@ -381,7 +401,8 @@ def test_23_a_damaged_cell_is_noticed_and_computed_again(tmp_path, damage):
             "empty": b"",
             "garbage": b"\xff\x00garbage",
             "flipped": content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :],
-            "other": store.save(tmp_path / "elsewhere", "0" * 24, {"auc": 1.0}).read_bytes(),
+            "other": store.save(tmp_path, "0" * 24, {"measures": first[0]}).read_bytes(),
+            "less": store.save(tmp_path, path.stem, {"measures": {"auc": 1.0}}).read_bytes(),
             "list": b"[1, 2]",
         }[damage]
     )
@@ -577,13 +598,15 @@ def made_up(aucs: dict[str, list[tuple[float, float]]], families: dict[str, str]
     """Findings of one route on which every policy has these points (compute, AUC)."""
     plan = SimpleNamespace(
         routes=[{"bank": "a", "queries": 9, "references": 9, "cheapest": 0.1}],
-        conditions=("recorded",),
-        seeds=seeds,
-        statistic="evidence",
-        carry=None,
-        discount=None,
-        costs="runs",
-        needs_truth={},
+        settings={
+            "conditions": ["recorded"],
+            "seeds": list(seeds),
+            "statistic": "evidence",
+            "carry": None,
+            "discount": None,
+            "costs": "runs",
+            "needs_truth": {},
+        },
     )
     shares = ("accuracy", "auc_vprbench", "auc_paper", "ptr", "seconds_per_frame", "reselections")
     numbers = dict.fromkeys(shares, 0.0)

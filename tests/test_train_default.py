@@ -11,10 +11,10 @@ from types import SimpleNamespace
 
 import pytest
 from amusic_agents.config import ImitationConfig, RolloutConfig, TrainingConfig
-from amusic_agents.imitation import IMITATION
 from amusic_agents.run_folder import CONFIG, SELECTOR
 from amusic_agents.selector import load_selector
 from amusic_agents.shipped import PRETRAINED, shipped
+from amusic_agents.training import IMITATION
 from small_training import SCRIPTS, SMALL
 
 from amusic_gym.cli import status, teacher
@@ -59,8 +59,8 @@ def command(tmp_path_factory):
         patch.setattr(
             "amusic_agents.config.TrainingConfig", lambda **v: TrainingConfig(**{**v, **TINY})
         )
-        patch.setitem(train_default.learn.__kwdefaults__, "routes", 1)
-        patch.setitem(train_default.learn.__kwdefaults__, "grid", teacher.GRID[:3])
+        patch.setitem(teacher.make_teacher.__kwdefaults__, "routes", 1)
+        patch.setitem(teacher.make_teacher.__kwdefaults__, "grid", teacher.GRID[:3])
 
         def call(out: Path, folder: Path, *more: object) -> None:
             patch.setattr(train_default, "shipped", lambda statistic, allow_idle: folder)
@@ -121,7 +121,6 @@ def test_for_belief_a_teacher_is_chosen_imitated_and_surpassed(belief):
     stored = json.loads((belief.shipped / CONFIG).read_text("utf-8"))
     assert stored["training"]["algorithm"] == "imitation+ppo"
     assert stored["training"]["timesteps"] == STEPS
-    assert stored["training"]["warm_start"] is None
     assert stored["best"]["timesteps"] <= STEPS
     assert str(belief.out) not in (belief.shipped / CONFIG).read_text("utf-8")  # no machine's path
     load_selector(belief.shipped)
@@ -168,8 +167,8 @@ def test_a_finished_training_is_not_begun_again(
     before = digests(run.out)
     for name in ("collect", "learn"):
         monkeypatch.setattr(f"amusic_agents.policy_iteration.{name}", None)
-    monkeypatch.setattr("amusic_agents.imitation.imitate_then_train", None)
-    monkeypatch.setattr("teacher.make_teacher", None)
+    monkeypatch.setattr("amusic_agents.ppo.PPOLearner.evaluate", None)
+    monkeypatch.setattr(teacher, "choose_cascades", None)
     command(run.out, run.shipped, "--statistic", statistic)
     assert capsys.readouterr().out.endswith(f"is the selector that ships for {statistic!r}\n")
     assert digests(run.out) == before

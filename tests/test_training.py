@@ -11,14 +11,23 @@ import numpy as np
 import pytest
 import torch
 from amusic_agents import network
-from amusic_agents.config import TrainingConfig, stored_banks, stored_config
+from amusic_agents.config import NetworkConfig, TrainingConfig
 from amusic_agents.evaluation import COMPUTE_WEIGHTS, Evaluation, HeldOut
-from amusic_agents.keeper import Keeper
-from amusic_agents.learners.common import make_env
-from amusic_agents.network import NetworkConfig, SelectorNetwork
-from amusic_agents.run_folder import CHECKPOINT, EVALUATIONS, SELECTOR, read_config, read_tensors
+from amusic_agents.learning import make_env
+from amusic_agents.network import SelectorNetwork
+from amusic_agents.ppo import PPOLearner
+from amusic_agents.records import Records
+from amusic_agents.run_folder import (
+    CHECKPOINT,
+    EVALUATIONS,
+    SELECTOR,
+    read_config,
+    read_tensors,
+    stored_banks,
+    stored_config,
+)
 from amusic_agents.selector import TrainedSelector, load_selector
-from amusic_agents.training import make_model, train
+from amusic_agents.training import train
 from env_cases import random_bank
 from small_training import SMALL
 from stable_baselines3.common.logger import Logger
@@ -186,16 +195,16 @@ class Scripted(HeldOut):
 
 def test_the_best_selector_is_kept(tmp_path, bank):
     config = small()
-    model = make_model(config, SimulatedRoutes(pool=1))
-    keeper = Keeper(tmp_path, config, [None], Scripted([0.1, 0.7, 0.4, 0.7]))
-    keeper.init_callback(model)
-    model.set_logger(Logger(None, []))
+    records = Records(tmp_path, config, [None], PPOLearner.kind)
+    records.held_out = Scripted([0.1, 0.7, 0.4, 0.7])
+    learner = PPOLearner(config, SimulatedRoutes(pool=1), records)
+    learner.model.set_logger(Logger(None, []))
     kept = []
     for step in range(4):
-        model.num_timesteps = step
+        learner.model.num_timesteps = step
         with torch.no_grad():
-            keeper.network.head[-1].bias.fill_(float(step))
-        keeper.evaluate()
+            learner.network.head[-1].bias.fill_(float(step))
+        learner.evaluate()
         kept.append(float(load_selector(tmp_path).network.head[-1].bias.detach()))
     assert kept == [0.0, 1.0, 1.0, 1.0]
     assert read_config(tmp_path)["best"]["score"] == 0.7
@@ -289,4 +298,4 @@ def test_batches_divide_an_update_evenly(n_envs):
     config = TrainingConfig(n_envs=n_envs)
     assert config.rollout % config.batch == 0
     assert config.rollout // config.batch <= 2 * math.ceil(config.rollout / 1024)
-    make_model(config, SimulatedRoutes(pool=1))  # no warning of a truncated batch
+    PPOLearner.make_model(config, SimulatedRoutes(pool=1))  # no warning of a truncated batch

@@ -6,8 +6,8 @@ import json
 
 import numpy as np
 import pytest
-from amusic_agents.config import TrainingConfig, stored, stored_config
-from amusic_agents.run_folder import write_config
+from amusic_agents.config import TrainingConfig
+from amusic_agents.run_folder import stored, stored_config, write_config
 from amusic_agents.training import simulated_routes
 
 from amusic_gym.cli import train

@@ -122,7 +122,7 @@ class SB3VecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """An attribute of the wrapped environment, once per route."""
-        return [getattr(self._owner(attr_name), attr_name)] * len(self._indices(indices))
+        return self._per_route(getattr(self._owner(attr_name), attr_name), indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Set an attribute of the wrapped environment, which all routes share."""
@@ -137,14 +137,14 @@ class SB3VecEnv(VecEnv):
     ) -> list[Any]:
         """Call a method of the wrapped environment once."""
         result = getattr(self._owner(method_name), method_name)(*method_args, **method_kwargs)
-        return [result] * len(self._indices(indices))
+        return self._per_route(result, indices)
 
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None
     ) -> list[bool]:
         """Whether a vector wrapper is of that class; of ``Monitor``: yes, it tells of episodes."""
         own = wrapper_class is Monitor or any(isinstance(e, wrapper_class) for e in self._layers())
-        return [own] * len(self._indices(indices))
+        return self._per_route(own, indices)
 
     def _layers(self) -> Iterator[Any]:
         """The environment in its wrappers, from outside in."""
@@ -158,5 +158,5 @@ class SB3VecEnv(VecEnv):
         """The outermost layer that has an attribute; else the environment itself."""
         return next((e for e in self._layers() if hasattr(e, name)), self.env.unwrapped)
 
-    def _indices(self, indices: VecEnvIndices) -> Sequence[int]:
-        return list(self._get_indices(indices))
+    def _per_route(self, value: Any, indices: VecEnvIndices) -> list[Any]:
+        return [value] * len(list(self._get_indices(indices)))

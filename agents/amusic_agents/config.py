@@ -1,52 +1,111 @@
-"""How a selector is trained, and how a run folder stores it."""
+"""How a selector is trained: the settings of every algorithm and network, with their checks.
+
+Nothing here loads PyTorch, so that a command line can name the settings at once.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from typing import Any
 
-from amusic_agents.evaluation import Evaluation
-from amusic_agents.learners import ALGORITHMS
-from amusic_agents.network import NetworkConfig
-from amusic_agents.run_folder import CONFIG, read_config, versions
-from amusic_gym import __version__
 from amusic_gym.envs.rewards import REWARDS
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.routes.simulate import Simulation, population
 from amusic_gym.utils.checks import flag, number, share, whole
 from amusic_gym.utils.names import suggest
 
-HIGHEST_SEED = 1_000_000_000
-"""Seeds beyond would draw the held-out routes for training."""
-
-_LEAST = {
-    "batch_size": 2,  # PPO normalises the advantages of a batch
-    "subsets": 4,
-    "frozen_updates": 0,
+ALGORITHMS = {
+    "ppo": "amusic_agents.ppo:PPOLearner",
+    "imitation": "amusic_agents.imitation:ImitationLearner",
+    "imitation+ppo": "amusic_agents.ppo:PPOLearner",  # after an imitation
+    "rollouts": "amusic_agents.policy_iteration:RolloutLearner",
+    "reselect": "amusic_agents.ppo:ReselectLearner",
 }
-"""Of whole numbers, where it is not 1."""
-
-_SHARES = ("teacher_share", "share", "discount", "reward_discount", "gae_lambda")
-
-MOST_ROUTES = 65_536
-"""Routes side by side; more would take memory by the hundred gigabytes."""
-
-
-WARM_START: dict[str, Any] = {"entropy": 0.001, "learning_rate": 4e-4, "frozen_updates": 8}
-"""Defaults of PPO that begins from weights that can drive already: it must not undo them."""
+"""Name on the command line → the class that trains, imported when used."""
 
 DEFAULTS: dict[str, dict[str, Any]] = {
-    "imitation+ppo": WARM_START,
+    # PPO must not undo what the imitation has learned.
+    "imitation+ppo": {"entropy": 0.001, "learning_rate": 4e-4, "frozen_updates": 8},
     "rollouts": {"n_envs": 48, "pool": 512, "compute_weights": (0.02, 4.0), "held_out": 64},
 }
 """Where an algorithm's defaults are not those of PPO from scratch."""
 
+HIGHEST_SEED = 1_000_000_000
+"""Seeds beyond would draw the held-out routes for training."""
+
+MOST_ROUTES = 65_536
+"""Routes side by side; more would take memory by the hundred gigabytes."""
+
+WIDEST = 4096
+"""Largest size of a layer: a damaged file must not fill the memory."""
+
+
+def count(default: int, least: int = 1, most: int | None = None) -> int:
+    """A whole number in a range, as a field of `Settings`."""
+    return checked(default, partial(whole, least=least, most=most))
+
+
+def amount(default: float) -> float:
+    """A number that is not negative, as a field of `Settings`."""
+    return checked(default, _at_least_zero)
+
+
+def _at_least_zero(name: str, value: Any) -> None:
+    if number(name, value, "a number >= 0") < 0.0:
+        raise ValueError(f"{name} is {value!r}; give a number >= 0")
+
+
+def checked(default: Any, check: Callable[[str, Any], object]) -> Any:
+    """A field of `Settings` with its default and its check."""
+    return field(default=default, metadata={"check": check})
+
 
 @dataclass(frozen=True)
-class ImitationConfig:
-    """How a teacher is imitated (DAgger: Ross, Gordon and Bagnell, AISTATS 2011).
+class Settings:
+    """Base of all settings.
+
+    Raises:
+        ValueError: for a value that its field's check refuses.
+    """
+
+    def __post_init__(self) -> None:
+        """Check every field that has a check."""
+        for each in fields(self):
+            if "check" in each.metadata:
+                each.metadata["check"](each.name, getattr(self, each.name))
+
+
+@dataclass(frozen=True)
+class SetSizes(Settings):
+    """Sizes of a network that encodes every technique by the same layers.
+
+    Attributes:
+        hidden: width of the hidden layers.
+        encoding: length of a technique's encoding.
+    """
+
+    hidden: int = count(64, most=WIDEST)
+    encoding: int = count(32, most=WIDEST)
+
+
+@dataclass(frozen=True)
+class NetworkConfig(SetSizes):
+    """Sizes of the network of PPO and imitation.
+
+    Attributes:
+        first_logit: logit that every technique starts with. Above 0, learning begins with most
+            techniques running and finds out which to leave out; from 0 or below it often ends
+            with the cheapest technique for ever.
+    """
+
+    first_logit: float = checked(1.0, partial(number, wanted="a number"))
+
+
+@dataclass(frozen=True)
+class ImitationConfig(Settings):
+    """How a teacher is imitated (:mod:`amusic_agents.imitation`).
 
     Attributes:
         rounds: of driving and learning; all that was seen before is learned again in each.
@@ -56,25 +115,18 @@ class ImitationConfig:
         epochs: passes over all frames in each round.
         batch_size: frames per gradient step.
         learning_rate: at the start of each round; falls linearly to zero in it.
-
-    Raises:
-        ValueError: for a number out of range.
     """
 
-    rounds: int = 8
-    frames: int = 32_768
-    teacher_share: float = 0.5
-    epochs: int = 4
-    batch_size: int = 512
-    learning_rate: float = 4e-3
-
-    def __post_init__(self) -> None:
-        """Refuse what nothing can be learned from."""
-        _check_numbers(self)
+    rounds: int = count(8)
+    frames: int = count(32_768)
+    teacher_share: float = checked(0.5, share)
+    epochs: int = count(4)
+    batch_size: int = count(512, least=2)
+    learning_rate: float = amount(4e-3)
 
 
 @dataclass(frozen=True)
-class RolloutConfig:
+class RolloutConfig(Settings):
     """How policy iteration tries subsets of techniques (:mod:`amusic_agents.policy_iteration`).
 
     Attributes:
@@ -90,36 +142,29 @@ class RolloutConfig:
         epochs: passes over all states in each iteration.
         batch_size: states per gradient step.
         learning_rate: at the start of each iteration; falls linearly to zero in it.
-
-    Raises:
-        ValueError: for a number out of range.
     """
 
-    iterations: int = 7
-    states: int = 10_000
-    kept: int = 4
-    subsets: int = 8
-    hold: int = 8
-    horizon: int = 80
-    discount: float = 0.985
-    every: int = 12
-    share: float = 0.7
-    epochs: int = 12
-    batch_size: int = 256
-    learning_rate: float = 2e-3
-
-    def __post_init__(self) -> None:
-        """Refuse what nothing can be learned from."""
-        _check_numbers(self)
+    iterations: int = count(7)
+    states: int = count(10_000)
+    kept: int = count(4)
+    subsets: int = count(8, least=4)
+    hold: int = count(8)
+    horizon: int = count(80)
+    discount: float = checked(0.985, share)
+    every: int = count(12)
+    share: float = checked(0.7, share)
+    epochs: int = count(12)
+    batch_size: int = count(256, least=2)
+    learning_rate: float = amount(2e-3)
 
 
 @dataclass(frozen=True)
-class TrainingConfig:
+class TrainingConfig(Settings):
     """Everything that decides how a selector is trained; the defaults are those of ``train.py``.
 
     Attributes:
-        algorithm: name of the algorithm, out of `amusic_agents.learners.ALGORITHMS`.
-        timesteps: frames in all, over all routes; imitation counts its own.
+        algorithm: name of the algorithm, out of `ALGORITHMS`.
+        timesteps: frames in all, over all routes; imitation and rollouts count their own.
         seed: of routes, weights and draws.
         n_envs: routes side by side.
         threads: that step them, with rollouts processes; what is learned does not depend on it.
@@ -128,13 +173,13 @@ class TrainingConfig:
         discount: whether MuSIC discounts alike rows; None: as the statistic has it.
         allow_idle: whether the selector may run nothing on a frame; by policy iteration only.
         reward: name in `amusic_gym.envs.rewards.REWARDS`; ``"ground_truth"`` learns from what is
-            true on the training routes instead of from p̂, which a selector may learn to please.
+            true on the training routes instead of from p̂, whose errors a selector may exploit.
         compute_weights: range from which every episode draws λ, on a logarithmic scale.
         simulation: name → value or (low, high), of ranges that training routes are drawn from
             instead of those of `amusic_gym.routes.simulate.population`.
         pool: simulated training routes that are drawn from again and again.
         n_steps: frames per route between two updates.
-        batch_size: frames per gradient step, at most.
+        batch_size: frames per gradient step, at most; PPO normalises the advantages of a batch.
         epochs: passes over the frames of an update.
         learning_rate: at the start; falls linearly to zero.
         reward_discount: of later rewards, per frame.
@@ -143,53 +188,46 @@ class TrainingConfig:
         evaluate_every: frames between two evaluations, each followed by a checkpoint.
         held_out: simulated routes of an evaluation.
         network: sizes of the network of PPO and imitation.
-        frozen_updates: updates of PPO in which the critic alone learns; for a warm start.
-        warm_start: run folder whose weights PPO begins from; ``train`` notes it here.
+        frozen_updates: updates of PPO in which the critic alone learns; after an imitation.
         imitation: of a teacher.
         rollouts: of policy iteration.
-
-    Raises:
-        ValueError: for a number out of range, or an unknown algorithm or statistic.
     """
 
     algorithm: str = "ppo"
-    timesteps: int = 1_000_000
-    seed: int = 0
-    n_envs: int = 64
-    threads: int = 1
+    timesteps: int = count(1_000_000)
+    seed: int = count(0, least=0, most=HIGHEST_SEED)
+    n_envs: int = count(64)
+    threads: int = count(1)
     statistic: str = SICSettings.statistic
     carry: bool | None = SICSettings.carry
     discount: bool | None = SICSettings.discount
-    allow_idle: bool = False
+    allow_idle: bool = checked(False, flag)
     reward: str = "estimated"
     compute_weights: tuple[float, float] = (0.01, 6.0)
     simulation: dict[str, Any] = field(default_factory=dict)
-    pool: int = 768
-    n_steps: int = 64
-    batch_size: int = 1024
-    epochs: int = 4
-    learning_rate: float = 5e-4
-    reward_discount: float = 0.95
-    gae_lambda: float = 0.9
-    entropy: float = 0.01
-    evaluate_every: int = 200_000
-    held_out: int = 32
+    pool: int = count(768)
+    n_steps: int = count(64)
+    batch_size: int = count(1024, least=2)
+    epochs: int = count(4)
+    learning_rate: float = amount(5e-4)
+    reward_discount: float = checked(0.95, share)
+    gae_lambda: float = checked(0.9, share)
+    entropy: float = amount(0.01)
+    evaluate_every: int = count(200_000)
+    held_out: int = count(32)
     network: NetworkConfig = field(default_factory=NetworkConfig)
-    frozen_updates: int = 0
-    warm_start: str | None = None
+    frozen_updates: int = count(0, least=0)
     imitation: ImitationConfig = field(default_factory=ImitationConfig)
     rollouts: RolloutConfig = field(default_factory=RolloutConfig)
 
     def __post_init__(self) -> None:
         """Refuse what no training can use."""
-        if self.algorithm not in ALGORITHMS:
-            raise ValueError(suggest("algorithm", self.algorithm, ALGORITHMS))
-        if self.reward not in REWARDS:
-            raise ValueError(suggest("reward", self.reward, REWARDS))
-        _check_numbers(self)
+        super().__post_init__()
+        for name, known in (("algorithm", ALGORITHMS), ("reward", REWARDS)):
+            if getattr(self, name) not in known:
+                raise ValueError(suggest(name, getattr(self, name), known))
         if self.n_envs > MOST_ROUTES:
             raise ValueError(f"n_envs is {self.n_envs}; give at most {MOST_ROUTES}")
-        whole("seed", self.seed, 0, most=HIGHEST_SEED)
         if self.rollout < 2:
             raise ValueError("n_steps * n_envs is 1; raise one of them: an update needs 2 frames")
         if self.allow_idle and self.algorithm != "rollouts":
@@ -235,21 +273,6 @@ class TrainingConfig:
         return next(even, largest)
 
 
-def _check_numbers(config: ImitationConfig | RolloutConfig | TrainingConfig) -> None:
-    """Refuse numbers out of range, by the kind of their defaults."""
-    for each in fields(config):
-        name, value = each.name, getattr(config, each.name)
-        if type(each.default) is bool:
-            flag(name, value)
-        elif type(each.default) is int and name != "seed":
-            whole(name, value, _LEAST.get(name, 1))
-        elif type(each.default) is float:
-            if name in _SHARES:
-                share(name, value)
-            elif number(name, value, "a number >= 0") < 0.0:
-                raise ValueError(f"{name} is {value!r}; give a number >= 0")
-
-
 def training_config(algorithm: str, **given: Any) -> TrainingConfig:
     """The configuration of an algorithm: its defaults, and what is given.
 
@@ -257,61 +280,3 @@ def training_config(algorithm: str, **given: Any) -> TrainingConfig:
         ValueError: for an unknown algorithm or a number out of range.
     """
     return TrainingConfig(**{"algorithm": algorithm, **DEFAULTS.get(algorithm, {}), **given})
-
-
-def stored(
-    config: TrainingConfig, banks: Sequence[str | None], best: Evaluation | None
-) -> dict[str, Any]:
-    """What ``config.json`` holds.
-
-    Args:
-        config: the configuration.
-        banks: folders of the banks that it trains on, None for one in memory; empty: simulated
-            routes.
-        best: evaluation of the stored selector.
-    """
-    return {
-        "versions": versions(config.statistic),
-        "amusic_gym": __version__,
-        "environment": config.environment(),
-        "banks": list(banks),
-        "training": asdict(config),
-        "best": None if best is None else best._asdict(),
-    }
-
-
-def stored_config(out: Path) -> TrainingConfig:
-    """The configuration of a run folder.
-
-    Raises:
-        FileNotFoundError: if there is no run.
-        ValueError: if it is of another version, or damaged.
-    """
-    config = read_config(out)
-    try:
-        values = dict(config["training"])
-        values["network"] = NetworkConfig(**values["network"])
-        values["imitation"] = ImitationConfig(**values["imitation"])
-        values["rollouts"] = RolloutConfig(**values["rollouts"])
-        values["compute_weights"] = tuple(values["compute_weights"])
-        values["simulation"] = {
-            name: tuple(value) if isinstance(value, list) else value
-            for name, value in dict(values["simulation"]).items()
-        }
-        return TrainingConfig(**values)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(
-            f"{out / CONFIG} is damaged ({error}); train the selector again"
-        ) from error
-
-
-def stored_banks(out: Path) -> list[str]:
-    """Folders of the banks that a run trains on; empty: simulated routes.
-
-    Raises:
-        ValueError: if it was trained on routes that no folder holds.
-    """
-    banks = read_config(out).get("banks", [])
-    if not isinstance(banks, list) or not all(isinstance(bank, str) for bank in banks):
-        raise ValueError(f"{out} was trained on routes in memory; give them again to resume")
-    return banks

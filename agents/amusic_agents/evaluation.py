@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from amusic_gym.envs.sources import SimulatedRoutes
 from amusic_gym.evaluation.metrics import compute
@@ -24,7 +26,7 @@ class Evaluation(NamedTuple):
         score: correct − λ · compute per frame, with true correctness.
         accuracy: share of frames with a true place.
         compute: seconds / (frames · Σ seconds).
-        p_correct: mean p̂; far above ``accuracy`` it says that the selector fools it.
+        p_correct: mean p̂; far above ``accuracy`` where the selector exploits its errors.
     """
 
     timesteps: int
@@ -32,6 +34,13 @@ class Evaluation(NamedTuple):
     accuracy: float
     compute: float
     p_correct: float
+
+
+def measure(selector: Selector, jobs: Sequence[Job], **options: Any) -> NDArray[np.float64]:
+    """(3, J) accuracy, compute and mean p̂ of a selector on J routes, with options of `rollouts`."""
+    traces = rollouts(selector, jobs, name="selector", **options)
+    rows = [(trace.correct.mean(), compute(trace), trace.p_correct.mean()) for trace in traces]
+    return np.array(rows).T
 
 
 class HeldOut:
@@ -53,14 +62,7 @@ class HeldOut:
 
     def evaluate(self, selector: Selector, timesteps: int) -> Evaluation:
         """Run the selector on every route at every compute weight."""
-        traces = rollouts(selector, self.jobs, name="selector", statistic=self.statistic)
-        accuracy = np.array([trace.correct.mean() for trace in traces])
-        cost = np.array([compute(trace) for trace in traces])
+        accuracy, cost, p_correct = measure(selector, self.jobs, statistic=self.statistic)
         weights = np.array([job.compute_weight for job in self.jobs], np.float64)
-        return Evaluation(
-            timesteps,
-            float((accuracy - weights * cost).mean()),
-            float(accuracy.mean()),
-            float(cost.mean()),
-            float(np.mean([trace.p_correct.mean() for trace in traces])),
-        )
+        means = (accuracy - weights * cost, accuracy, cost, p_correct)
+        return Evaluation(timesteps, *(float(each.mean()) for each in means))

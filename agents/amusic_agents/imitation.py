@@ -7,101 +7,176 @@ end, because SIC profits from techniques that run many frames in a row.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from pathlib import Path
+import json
+from typing import NamedTuple
 
-from amusic_agents.config import TrainingConfig, stored_config
-from amusic_agents.dagger import DAgger
-from amusic_agents.run_folder import CHECKPOINT
-from amusic_agents.selector import load_selector
-from amusic_agents.training import bank_folders, begun, refuse_used, train, training_source
-from amusic_gym.envs.sources import BankLike, RouteSource
+import numpy as np
+import torch
+from torch.nn.functional import binary_cross_entropy_with_logits
+from tqdm import tqdm
+
+from amusic_agents.config import TrainingConfig
+from amusic_agents.learning import fit, make_env
+from amusic_agents.network import SelectorNetwork, presence
+from amusic_agents.records import Records
+from amusic_agents.run_folder import CHECKPOINT, check_layers, part, read_list, write_table
+from amusic_agents.selector import TrainedSelector
+from amusic_gym.envs.observation import observation_size
+from amusic_gym.envs.sources import RouteSource
 from amusic_gym.policies.protocol import Correction, Needs, Selector
 
-IMITATION = "imitation"
-"""Folder of the imitation within a run that goes on with PPO."""
+TABLE = "imitation.csv"
 
 
-def imitate(
-    out: str | Path,
-    config: TrainingConfig,
-    teacher: Selector,
-    *,
-    banks: Sequence[BankLike] = (),
-    source: RouteSource | None = None,
-    resume: bool = False,
-    progress: bool = True,
-) -> Selector:
-    """Train a selector to do what a teacher does, and keep the best in a run folder.
+class Round(NamedTuple):
+    """How a round went.
+
+    Attributes:
+        teacher_share: expected share of the routes that the teacher drove.
+        agreement: share of the bits on which the student, before it learned from the round, would
+            have done what the teacher said.
+        loss: mean cross entropy per bit in the last pass.
+    """
+
+    teacher_share: float
+    agreement: float
+    loss: float
+
+
+class ImitationLearner:
+    """The rounds of an imitation.
 
     Args:
-        out: the run folder.
-        config: how; ``config.imitation`` above all.
-        teacher: says what to do, also on routes that the student drives; one that reads
-            ``info["compute_weight"]``, as :class:`amusic_agents.teachers.ByWeight` does, teaches
-            every λ.
-        banks: banks to drive on; none: simulated routes.
-        source: routes to drive on, instead of banks or the default simulation.
-        resume: go on after the folder's last whole round, with its configuration and banks, and
-            with the same result as without a stop. A finished one is returned as it is.
-        progress: whether to show a progress bar.
-
-    Returns:
-        The best selector by evaluation on held-out simulated routes.
+        config: how.
+        source: routes to drive on.
+        records: of the run folder.
+        teacher: says what to do.
 
     Raises:
-        FileNotFoundError: if there is nothing to resume, or a bank is missing.
-        ValueError: if the folder holds another training or is damaged, or the teacher needs
-            another environment.
+        ValueError: if there is no teacher, or it needs another environment.
     """
-    out = Path(out)
-    with begun(out, config, banks, source, resume) as (config, banks):
-        _check_teacher(teacher, config)
-        dagger = DAgger(out, config, teacher, source or training_source(config, banks))
-        dagger.records.banks = bank_folders(source, banks)
-        if resume:
-            dagger.restore()
-        dagger.write()
-        dagger.run(progress)
-        return load_selector(out)
+
+    kind = TrainedSelector
+
+    def __init__(
+        self,
+        config: TrainingConfig,
+        source: RouteSource,
+        records: Records,
+        teacher: Selector | None = None,
+    ) -> None:
+        self.config = config
+        self.settings = config.imitation
+        self.records = records
+        self.teacher = _checked(teacher, config)
+        self.env = make_env(config, source)
+        torch.manual_seed(config.seed)
+        self.network = SelectorNetwork(config.network)
+        self.student = records.policy(self.network)
+        self.rounds: list[Round] = []
+        self.steps = -(-self.settings.frames // config.n_envs)  # of every route in a round
+        self.frames = self.steps * config.n_envs  # of a round
+        total, slots = self.settings.rounds * self.frames, self.env.task.slots
+        self.observations = torch.empty(total, observation_size(slots))  # what was seen
+        self.labels = torch.empty(total, slots, dtype=torch.bool)  # and what the teacher said
+
+    def run(self, progress: bool) -> None:
+        """Drive, learn, evaluate and save, round by round."""
+        self._write_table()
+        with tqdm(
+            total=len(self.labels),
+            initial=len(self.rounds) * self.frames,
+            desc="imitation",
+            unit=" frames",
+            disable=not progress,
+        ) as bar:
+            while len(self.rounds) < self.settings.rounds:
+                self._round(bar)
+
+    def _round(self, bar: tqdm) -> None:
+        number = len(self.rounds)
+        rng = np.random.default_rng([self.config.seed, number])
+        share, end = self.settings.teacher_share**number, (number + 1) * self.frames
+        agreed = self._drive(rng, share, slice(end - self.frames, end), bar)
+
+        def loss_of(batch: torch.Tensor) -> torch.Tensor:
+            return cross_entropy(self.network, self.observations[batch], self.labels[batch])
+
+        batches = -(-end // self.settings.batch_size)
+        loss = fit(self.network, loss_of, end, batches, self.settings, rng)
+        result = self.records.evaluate(self.network, end)
+        self.rounds.append(Round(share, agreed, loss))
+        self._save()
+        bar.set_postfix(agreement=f"{agreed:.3f}", score=f"{result.score:.3f}")
+
+    def _drive(self, rng: np.random.Generator, share: float, rows: slice, bar: tqdm) -> float:
+        """Drive on all routes, from their beginnings; the teacher labels every frame.
+
+        Returns:
+            The share of the bits that the student would have set as the teacher said.
+        """
+        routes, agreed = self.config.n_envs, []
+        observations = self.observations[rows].numpy().reshape(self.steps, routes, -1)
+        labels = self.labels[rows].numpy().reshape(self.steps, routes, -1)
+        observation, info = self.env.reset(seed=int(rng.integers(2**31)))
+        begun = np.ones(routes, np.bool_)
+        taught = np.zeros(routes, np.bool_)  # driven by the teacher
+        for step in range(self.steps):
+            self.teacher.reset(begun)
+            taught = np.where(begun, rng.random(routes) < share, taught)
+            observations[step] = observation
+            labels[step] = self.teacher.act(observation, info)
+            own = self.student.act(observation, info)
+            agreed.append((own == labels[step])[info["present"]])
+            actions = np.where(taught[:, None], labels[step], own)
+            observation, _, terminated, truncated, info = self.env.step(actions)
+            begun = terminated | truncated
+            bar.update(routes)
+        return float(np.concatenate(agreed).mean())
+
+    def _save(self) -> None:
+        tensors = {f"network.{name}": value for name, value in self.network.state_dict().items()}
+        if len(self.rounds) < self.settings.rounds:  # else nothing is learned from it any more
+            seen = len(self.rounds) * self.frames
+            tensors["seen.observations"] = self.observations[:seen]
+            tensors["seen.labels"] = self.labels[:seen]
+        self.records.save(tensors, {"rounds": json.dumps(self.rounds)})
+        self._write_table()
+
+    def _write_table(self) -> None:
+        rows = [(number, *values) for number, values in enumerate(self.rounds)]
+        write_table(self.records.out / TABLE, ("round", *Round._fields), rows)
+
+    def restore(self) -> None:
+        """Go back to the end of the last whole round; a damaged checkpoint is refused."""
+        with self.records.restoring(self.network) as (tensors, metadata):
+            path = self.records.out / CHECKPOINT
+            rounds = [Round(*row) for row in read_list(path, metadata, "rounds")]
+            weights = part(tensors, "network.")
+            check_layers(path, weights, self.network.state_dict())
+            if len(rounds) < self.settings.rounds:
+                seen = len(rounds) * self.frames
+                own = {"observations": self.observations[:seen], "labels": self.labels[:seen]}
+                check_layers(path, part(tensors, "seen."), own)
+                for name, tensor in own.items():
+                    tensor.copy_(tensors[f"seen.{name}"])
+            self.network.load_state_dict(weights)
+            self.rounds = rounds
 
 
-def imitate_then_train(
-    out: str | Path,
-    config: TrainingConfig,
-    teacher: Selector,
-    *,
-    banks: Sequence[BankLike] = (),
-    source: RouteSource | None = None,
-    resume: bool = False,
-    progress: bool = True,
-) -> Selector:
-    """Imitate a teacher, then train on with PPO from there.
-
-    The imitation's own run folder is ``out/imitation``. The arguments are those of
-    :func:`imitate`; good values of ``config`` are those of
-    ``amusic_agents.config.training_config("imitation+ppo")``.
-
-    Raises:
-        FileNotFoundError: as :func:`imitate` does.
-        ValueError: as :func:`imitate` and :func:`amusic_agents.training.train` do.
-        KeyboardInterrupt: after saving a checkpoint, if PPO has begun.
-    """
-    out = Path(out)
-    first = out / IMITATION
-    if not resume:
-        refuse_used(out)
-    routes = {"banks": banks, "source": source, "progress": progress}
-    imitate(first, config, teacher, resume=resume, **routes)  # type: ignore[arg-type]
-    if resume and (out / CHECKPOINT).is_file():
-        return train(out, config, resume=True, **routes)  # type: ignore[arg-type]
-    if resume:
-        config = replace(stored_config(first), timesteps=config.timesteps)
-    return train(out, config, warm_start=first, **routes)  # type: ignore[arg-type]
+def cross_entropy(
+    network: SelectorNetwork, observations: torch.Tensor, labels: torch.Tensor
+) -> torch.Tensor:
+    """Mean cross entropy of the bits of the techniques that are there."""
+    logits, present = network.logits(observations), presence(observations).float()
+    sums = binary_cross_entropy_with_logits(logits, labels.float(), present, reduction="sum")
+    return sums / present.sum()
 
 
-def _check_teacher(teacher: Selector, config: TrainingConfig) -> None:
+def _checked(teacher: Selector | None, config: TrainingConfig) -> Selector:
+    """The teacher, unless it needs another environment than the training's."""
+    if teacher is None:
+        raise ValueError("an imitation learns from a teacher; give one")
     needs = teacher.needs
     if needs != Needs(statistic=needs.statistic, carry=needs.carry, discount=needs.discount):
         raise ValueError(
@@ -119,3 +194,4 @@ def _check_teacher(teacher: Selector, config: TrainingConfig) -> None:
             raise ValueError(
                 f"the teacher needs {name} {own[name]}, the training uses {value}; give the same"
             )
+    return teacher

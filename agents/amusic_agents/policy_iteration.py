@@ -15,11 +15,11 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import repeat
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,18 +28,14 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from amusic_agents.config import RolloutConfig, TrainingConfig
-from amusic_agents.evaluation import HeldOut
-from amusic_agents.keeper import Records
-from amusic_agents.learners.common import make_env
-from amusic_agents.run_folder import CHECKPOINT, check_layers, part, read_tensors, write_tensors
-from amusic_agents.selector import load_selector
+from amusic_agents.learning import fit, make_env
+from amusic_agents.records import Records
+from amusic_agents.run_folder import CHECKPOINT, check_layers, part
 from amusic_agents.subsets import MOST_SLOTS, SubsetNetwork, SubsetSelector, SubsetSizes
-from amusic_agents.training import bank_folders, begun, training_source
 from amusic_gym.envs.observation import observation_size
-from amusic_gym.envs.sources import BankLike, RouteSource
+from amusic_gym.envs.sources import RouteSource
 from amusic_gym.envs.task import Task
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
-from amusic_gym.policies.protocol import Selector
 
 SPELL = (3, 50)
 """Frames for which a route of a collection is driven in one way: by the policy, or by a subset."""
@@ -47,7 +43,7 @@ SPELL = (3, 50)
 PART = 1000
 """States that are collected in one go, from the beginning of every route on."""
 
-PACE = 2
+ACTION_REPEAT = 2
 """Frames between two decisions of the policy in a rollout; half of the time goes into them."""
 
 
@@ -67,106 +63,91 @@ class Samples(NamedTuple):
     compute: NDArray[np.float32]
 
 
-def iterate_policy(
-    out: str | Path,
-    config: TrainingConfig,
-    *,
-    banks: Sequence[BankLike] = (),
-    source: RouteSource | None = None,
-    resume: bool = False,
-    progress: bool = True,
-) -> Selector:
-    """Train a selector by policy iteration and keep the best in a run folder.
+def joined(parts: Sequence[Samples]) -> Samples:
+    """All states of the parts, one after the other."""
+    return Samples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+class RolloutLearner:
+    """The iterations of collecting and learning.
 
     Args:
-        out: the run folder.
-        config: how; ``config.rollouts`` above all.
-        banks: banks to drive on; none: simulated routes.
-        source: routes to drive on, instead of banks or the default simulation.
-        resume: go on after the folder's last whole iteration, with its configuration and banks, and
-            with the same result as without a stop. A finished one is returned as it is.
-        progress: whether to show a progress bar.
-
-    Returns:
-        The best selector by evaluation on held-out simulated routes.
-
-    Raises:
-        FileNotFoundError: if there is nothing to resume, or a bank is missing.
-        ValueError: if the folder holds another training or is damaged, or a route is live.
-    """
-    out = Path(out)
-    with begun(out, config, banks, source, resume) as (config, banks):
-        iteration = PolicyIteration(out, config, source or training_source(config, banks))
-        iteration.records.banks = bank_folders(source, banks)
-        if resume:
-            iteration.restore()
-        iteration.records.write()
-        iteration.run(progress)
-        return load_selector(out)
-
-
-class PolicyIteration:
-    """The iterations, and what they leave on disk.
-
-    Args:
-        out: the run folder.
         config: how; ``config.rollouts`` above all.
         source: routes to drive on.
+        records: of the run folder.
     """
 
-    def __init__(self, out: Path, config: TrainingConfig, source: RouteSource) -> None:
-        self.out = out
-        self.config = config
+    kind = SubsetSelector
+
+    def __init__(self, config: TrainingConfig, source: RouteSource, records: Records) -> None:
         if source.slots > MOST_SLOTS:
             raise ValueError(
                 f"routes of {source.slots} techniques have too many subsets to try; give routes of"
                 f" at most {MOST_SLOTS}, or take --algorithm ppo"
             )
-        self.settings: RolloutConfig = config.rollouts
+        self.config = config
+        self.settings = config.rollouts
         self.source = source
-        self.records = Records(out, config, [], "subsets", SubsetSizes())
-        self.held_out = HeldOut(config.held_out, config.statistic)
-        self.policy: SubsetSelector | None = None
+        self.records = records
+        self.network: SubsetNetwork | None = None
         self.seen: list[Samples] = []  # of the last iterations
         self.done = 0  # iterations
 
     def run(self, progress: bool) -> None:
-        """Collect, learn, evaluate and keep, iteration by iteration."""
+        """Collect, learn, evaluate and save, iteration by iteration."""
         total = self.settings.iterations * self.settings.states
         begun = self.done * self.settings.states
         with (
             tqdm(total=total, initial=begun, desc="rollouts", disable=not progress) as bar,
-            Collectors(self.config, self.source) as collectors,
+            collecting(self.config, self.source) as run,
         ):
             while self.done < self.settings.iterations:
-                self._iterate(collectors, bar)
+                self._iterate(run, bar)
 
-    def _iterate(self, collectors: Collectors, bar: tqdm) -> None:
+    def _iterate(self, run: Any, bar: tqdm) -> None:
         rng = np.random.default_rng([self.config.seed, self.done])
         if self.done == 1:  # without a policy a subset runs to the end, which is another value
             self.seen.clear()
-        self.seen = [*self.seen, collectors.collect(self.policy, rng, bar)]
-        self.seen = self.seen[-self.settings.kept :]
+        seeds = rng.integers(2**63, size=-(-self.settings.states // PART)).tolist()
+        weights = None  # as arrays: tensors would take shared memory on their way
+        if self.network is not None:
+            weights = {name: tensor.numpy() for name, tensor in self.network.state_dict().items()}
+        parts: list[Samples] = []
+        for samples in run(_collect_part, seeds, repeat(weights)):
+            parts.append(samples)
+            bar.update(min(PART, self.settings.states))
+        self.seen = [*self.seen, joined(parts)][-self.settings.kept :]
         torch.manual_seed(int(rng.integers(2**31)))
-        network = SubsetNetwork(SubsetSizes())
-        loss = learn(network, self.seen, self.settings, rng)
-        self.policy = SubsetSelector(network, self.config.statistic, self.config.environment())
+        self.network = SubsetNetwork(SubsetSizes())
+        loss = learn(self.network, self.seen, self.settings, rng)
         self.done += 1
-        result = self.held_out.evaluate(self.policy, self.done * self.settings.states)
-        self.records.add(result, network)
-        self._save(network)
+        result = self.records.evaluate(self.network, self.done * self.settings.states)
+        self._save(self.network)
         bar.set_postfix(loss=f"{loss:.3f}", score=f"{result.score:.3f}")
 
-    # ---- on disk ---------------------------------------------------------------------------
-
     def _save(self, network: SubsetNetwork) -> None:
-        tensors, metadata = self.records.checkpoint()
-        tensors |= {f"network.{name}": value for name, value in network.state_dict().items()}
+        tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
         for i, samples in enumerate(self.seen):
             for name, array in samples._asdict().items():
                 tensors[f"seen.{i}.{name}"] = torch.from_numpy(array)
-        write_tensors(self.out / CHECKPOINT, tensors, {**metadata, "done": str(self.done)})
-        self.records.write()
+        self.records.save(tensors, {"done": str(self.done)})
+
+    def restore(self) -> None:
+        """Go back to the end of the last whole iteration; a damaged checkpoint is refused."""
+        network = SubsetNetwork(SubsetSizes())
+        with self.records.restoring(network) as (tensors, metadata):
+            weights = part(tensors, "network.")
+            check_layers(self.records.out / CHECKPOINT, weights, network.state_dict())
+            network.load_state_dict(weights)
+            self.network = network
+            self.done = int(metadata["done"])
+            kept = min(max(1, self.done - 1), self.settings.kept)
+            self.seen = [
+                Samples(*(tensors[f"seen.{i}.{name}"].numpy() for name in Samples._fields))
+                for i in range(kept)
+            ]
+            for samples in self.seen:
+                self._check(samples)
 
     def _check(self, samples: Samples) -> None:
         """Refuse what no collection gave, or one on routes of another number of slots."""
@@ -177,42 +158,14 @@ class PolicyIteration:
         if not (good and kinds and ((subsets >= 0) & (subsets < 1 << self.source.slots)).all()):
             raise ValueError("states of another size or kind")
 
-    def restore(self) -> None:
-        """Go back to the end of the last whole iteration; before the first, to the beginning.
-
-        Raises:
-            ValueError: if the checkpoint is damaged.
-        """
-        path = self.out / CHECKPOINT
-        if not path.exists():  # stopped within the first iteration
-            return
-        tensors, metadata = read_tensors(path)
-        network = SubsetNetwork(SubsetSizes())
-        weights = part(tensors, "network.")
-        check_layers(path, weights, network.state_dict())
-        network.load_state_dict(weights)
-        self.policy = SubsetSelector(network, self.config.statistic, self.config.environment())
-        try:
-            self.done = int(metadata["done"])
-            kept = min(max(1, self.done - 1), self.settings.kept)
-            self.seen = [
-                Samples(*(tensors[f"seen.{i}.{name}"].numpy() for name in Samples._fields))
-                for i in range(kept)
-            ]
-            for samples in self.seen:
-                self._check(samples)
-            self.records.restore(path, tensors, metadata)
-        except (LookupError, TypeError, ValueError, ArithmeticError) as error:
-            raise ValueError(f"{path} holds no whole checkpoint ({error}); train again") from error
-
 
 # ---- collecting ----------------------------------------------------------------------------
 
 
-class Behaviour:
-    """How the drives of a collection go: each spell by the policy, or by one subset.
+class BehaviourPolicy:
+    """Drives the routes of a collection: each spell by the policy so far, or by one subset.
 
-    Spells of a subset bring a drive where the policy would not, and where it must find back from.
+    Subsets lead to states that the policy would not come to, and must recover from.
 
     Args:
         routes: N.
@@ -284,58 +237,28 @@ def draw_subsets(
     return np.array([action, *np.eye(present.size, dtype=np.bool_)[singles], present, *others])
 
 
-class Collectors:
-    """Collects in parts, in this process or, with ``config.threads``, in several others.
+@contextmanager
+def collecting(config: TrainingConfig, source: RouteSource) -> Iterator[Any]:
+    """A ``map`` for `_collect_part`: in this process or, with ``config.threads``, in several.
 
     What is collected does not depend on how many there are.
-
-    Args:
-        config: of the training.
-        source: routes to drive on.
     """
-
-    def __init__(self, config: TrainingConfig, source: RouteSource) -> None:
-        self.settings = config.rollouts
-        self._pool: ProcessPoolExecutor | None = None
-        one = replace(config, threads=1)  # of the statistic belief
-        if config.threads == 1:
-            _begin(one, source)
-        else:
-            self._others = set(multiprocessing.active_children())
-            context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(config.threads, context, _begin, (one, source))
-
-    def __enter__(self) -> Collectors:
-        return self
-
-    def __exit__(self, error: type[BaseException] | None, *_: object) -> None:
-        if self._pool is None:
-            return
-        if error is not None:  # what the others are at is of no use any more
-            for process in set(multiprocessing.active_children()) - self._others:
-                process.terminate()
-        self._pool.shutdown(cancel_futures=True)
-
-    def collect(
-        self, policy: SubsetSelector | None, rng: np.random.Generator, bar: tqdm
-    ) -> Samples:
-        """What rollouts from an iteration's states come to.
-
-        Args:
-            policy: the policy so far; None at first.
-            rng: of the seeds of the parts.
-            bar: moves on by the states.
-        """
-        seeds = rng.integers(2**63, size=-(-self.settings.states // PART)).tolist()
-        weights = None
-        if policy is not None:
-            weights = {name: w.numpy() for name, w in policy.network.state_dict().items()}
-        parts: list[Samples] = []
-        run: Any = map if self._pool is None else self._pool.map
-        for samples in run(_collect_part, seeds, repeat(weights)):
-            parts.append(samples)
-            bar.update(min(PART, self.settings.states))
-        return Samples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    one = replace(config, threads=1)  # of the statistic belief
+    if config.threads == 1:
+        _begin(one, source)
+        yield map
+        return
+    others = set(multiprocessing.active_children())
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(config.threads, context, _begin, (one, source))
+    try:
+        yield pool.map
+    except BaseException:  # what the processes are at is of no use any more
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 _worker: dict[str, Any] = {}
@@ -378,7 +301,7 @@ def collect(
     slots = env.task.slots
     observation, info = env.reset(seed=int(rng.integers(2**31)))
     idle = env.task.episodes.allow_idle
-    drives = Behaviour(env.num_envs, slots, policy, settings.share, rng, idle)
+    drives = BehaviourPolicy(env.num_envs, slots, policy, settings.share, rng, idle)
     parts: list[Samples] = []
     steps = -(-min(PART, settings.states) // env.num_envs) * settings.every
     for step in range(steps):
@@ -397,7 +320,7 @@ def collect(
         correctness, compute = roll_out(env.task, subsets, policy, settings)
         numbers = (subsets * (1 << np.arange(slots))).sum(2)
         parts.append(Samples(observation.copy(), numbers, correctness, compute))
-    return Samples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    return joined(parts)
 
 
 def roll_out(
@@ -428,7 +351,12 @@ def roll_out(
     observation: NDArray[np.float32] | None = None
     for frame, weight in enumerate(weights):
         since = frame - settings.hold
-        if policy is not None and observation is not None and since >= 0 and since % PACE == 0:
+        if (
+            policy is not None
+            and observation is not None
+            and since >= 0
+            and since % ACTION_REPEAT == 0
+        ):
             actions = policy.act(observation, {})
         out, _, terms = copies.step(actions, active)
         rewards = sum((v for k, v in terms.items() if k != "compute"), np.zeros(len(first)))
@@ -455,27 +383,18 @@ def learn(
 
     Only differences between the subsets of a state count: from there on the drives are the same.
     """
-    columns = [np.concatenate(column) for column in zip(*seen, strict=True)]
-    observations, subsets, *values = (torch.from_numpy(column) for column in columns)
+    observations, subsets, *values = map(torch.from_numpy, joined(seen))
     target = centred(torch.stack(values, dim=2))  # (n, B, 2)
-    batches = len(subsets) // settings.batch_size
-    steps = settings.epochs * batches
-    optimiser = torch.optim.Adam(network.parameters(), weight_decay=1e-5)
-    losses = np.zeros(steps)
-    for step in range(steps):
-        if step % batches == 0:
-            order = torch.from_numpy(rng.permutation(len(subsets)))
-        batch = order[step % batches :: batches]
-        optimiser.param_groups[0]["lr"] = settings.learning_rate * (1.0 - step / steps)
+
+    def loss(batch: torch.Tensor) -> torch.Tensor:
         values_of = network.values(observations[batch])  # (E, b, 2^S, 2)
         index = subsets[batch].unsqueeze(2).expand(len(values_of), -1, -1, 2)
         error = centred(values_of.gather(2, index)) - target[batch]
-        loss = 100.0 * (error**2).mean((1, 2, 3)).sum()
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        losses[step] = loss.detach()
-    return float(losses[-batches:].mean()) / len(network.ensemble)
+        return 100.0 * (error**2).mean((1, 2, 3)).sum()
+
+    batches = len(subsets) // settings.batch_size
+    total = fit(network, loss, len(subsets), batches, settings, rng, weight_decay=1e-5)
+    return total / len(network.ensemble)
 
 
 def centred(values: torch.Tensor) -> torch.Tensor:

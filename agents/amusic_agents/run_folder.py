@@ -15,8 +15,9 @@ No file of another program is loaded, above all no zip of Stable-Baselines3: tho
 
 from __future__ import annotations
 
+import io
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -26,11 +27,13 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import nn
 
-from amusic_agents.learners import KINDS, Kind
-from amusic_agents.learners import kind as kind_of
+from amusic_agents.config import ImitationConfig, NetworkConfig, RolloutConfig, TrainingConfig
+from amusic_agents.evaluation import Evaluation
 from amusic_agents.network import VERSION as NETWORK_VERSION
+from amusic_gym import __version__
 from amusic_gym.envs.observation import VERSION as OBSERVATION_VERSION
 from amusic_gym.estimation.settings import STATISTICS
+from amusic_gym.utils.escaping import CsvWriter
 from amusic_gym.utils.storage import parse_json, read_json, write_whole
 
 FORMAT_VERSION = 1
@@ -41,10 +44,14 @@ EVALUATIONS = "evaluation.csv"
 BEST = "best."
 """Prefix of the selector's weights in a checkpoint."""
 
-FIRST_KIND = next(iter(KINDS))
+FIRST_KIND = "selector"
+"""Of a selector whose weights name no kind."""
 
 ENVIRONMENT = ("candidates", "history", "gamma", "carry", "discount", "allow_idle")
 """Arguments of the environment that a run may set besides the statistic."""
+
+NESTED = {"network": NetworkConfig, "imitation": ImitationConfig, "rollouts": RolloutConfig}
+"""Settings within those of a training."""
 
 Tensors = dict[str, torch.Tensor]
 
@@ -99,6 +106,73 @@ def read_config(run: Path) -> dict[str, Any]:
     return config
 
 
+def stored(
+    config: TrainingConfig, banks: Sequence[str | None], best: Evaluation | None
+) -> dict[str, Any]:
+    """What ``config.json`` holds.
+
+    Args:
+        config: the configuration.
+        banks: folders of the banks that it trains on, None for one in memory; empty: simulated
+            routes.
+        best: evaluation of the stored selector.
+    """
+    return {
+        "versions": versions(config.statistic),
+        "amusic_gym": __version__,
+        "environment": config.environment(),
+        "banks": list(banks),
+        "training": asdict(config),
+        "best": None if best is None else best._asdict(),
+    }
+
+
+def stored_config(run: Path) -> TrainingConfig:
+    """The configuration of a run folder.
+
+    Raises:
+        FileNotFoundError: if there is no run.
+        ValueError: if it is of another version, or damaged.
+    """
+    config = read_config(run)
+    try:
+        values = dict(config["training"])
+        values.pop("warm_start", None)  # of an earlier version
+        for name, kind in NESTED.items():
+            values[name] = kind(**values[name])
+        values["compute_weights"] = tuple(values["compute_weights"])
+        values["simulation"] = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in dict(values["simulation"]).items()
+        }
+        return TrainingConfig(**values)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{run / CONFIG} is damaged ({error}); train the selector again"
+        ) from error
+
+
+def stored_banks(run: Path) -> list[str]:
+    """Folders of the banks that a run trains on; empty: simulated routes.
+
+    Raises:
+        ValueError: if it was trained on routes that no folder holds.
+    """
+    banks = read_config(run).get("banks", [])
+    if not isinstance(banks, list) or not all(isinstance(bank, str) for bank in banks):
+        raise ValueError(f"{run} was trained on routes in memory; give them again to resume")
+    return banks
+
+
+def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write a CSV file, whole or not at all."""
+    table = io.StringIO()
+    writer = CsvWriter(table)
+    writer.writerow(header)
+    writer.writerows(rows)
+    write_whole(path, table.getvalue().encode())
+
+
 def write_tensors(path: Path, tensors: Tensors, metadata: dict[str, str]) -> None:
     """Write tensors and their metadata as one file, whole or not at all."""
     kept = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
@@ -145,30 +219,11 @@ def write_selector(run: Path, network: nn.Module, sizes: Any, kind: str = FIRST_
         run: the run folder.
         network: the network.
         sizes: dataclass of its sizes.
-        kind: what it is, a name out of `amusic_agents.learners.KINDS`.
+        kind: what it is, a name out of `amusic_agents.selector.KINDS`.
     """
     about = asdict(sizes) if kind == FIRST_KIND else {"kind": kind, **asdict(sizes)}
     # One entry: safetensors writes several in any order, and the same weights are the same bytes.
     write_tensors(run / SELECTOR, dict(network.state_dict()), {"network": json.dumps(about)})
-
-
-def read_selector(run: Path) -> tuple[Kind, nn.Module]:
-    """Load the run's selector.
-
-    Raises:
-        ValueError: for weights of other names or shapes, naming the first.
-    """
-    path = run / SELECTOR
-    tensors, metadata = read_tensors(path)
-    try:
-        about = parse_json(metadata["network"].encode(), path, "train again")
-        kind = kind_of(about.pop("kind", FIRST_KIND))
-        network = kind.network(kind.sizes(**about))
-    except (KeyError, TypeError, ValueError, RuntimeError, ArithmeticError) as error:
-        raise ValueError(f"{path} holds no selector ({error}); train again") from error
-    check_layers(path, tensors, network.state_dict())
-    network.load_state_dict(tensors)
-    return kind, network.eval()
 
 
 def check_layers(path: Path, tensors: Tensors, expected: Mapping[str, torch.Tensor]) -> None:

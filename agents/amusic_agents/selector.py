@@ -10,17 +10,23 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from amusic_agents.learners import Kind
-from amusic_agents.learners.driver import NetworkSelector
-from amusic_agents.network import NetworkConfig, SelectorNetwork
-from amusic_agents.run_folder import read_config, read_selector
+from amusic_agents.config import NetworkConfig
+from amusic_agents.network import NetworkSelector, SelectorNetwork
+from amusic_agents.reselect import ReselectSelector
+from amusic_agents.run_folder import SELECTOR, check_layers, read_config, read_tensors
 from amusic_agents.shipped import shipped
+from amusic_agents.subsets import SubsetSelector
 from amusic_gym.estimation.settings import SICSettings
-from amusic_gym.policies.protocol import Selector
+from amusic_gym.utils.names import suggest
+from amusic_gym.utils.storage import parse_json
 
 
-class TrainedSelector(NetworkSelector[SelectorNetwork]):
+class TrainedSelector(NetworkSelector):
     """Runs the techniques that the network would rather run than not."""
+
+    kind = "selector"
+    sizes_type = NetworkConfig
+    network_type = SelectorNetwork
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
         """The more likely value of every bit."""
@@ -29,9 +35,15 @@ class TrainedSelector(NetworkSelector[SelectorNetwork]):
         return logits.numpy() > 0.0
 
 
+KINDS: dict[str, type[NetworkSelector]] = {
+    each.kind: each for each in (TrainedSelector, SubsetSelector, ReselectSelector)
+}
+"""Kind of a selector, as the file of its weights names it → the policy."""
+
+
 def load_selector(
     run: str | Path | None = None, *, statistic: str | None = None, allow_idle: bool = False
-) -> Selector:
+) -> NetworkSelector:
     """Load the selector of a run folder, of whatever algorithm, or the one that ships.
 
     Args:
@@ -54,8 +66,20 @@ def load_selector(
             f"{run} was trained with the statistic {own!r}, not {statistic!r}; give another run, or"
             " leave out the statistic"
         )
-    kind, network = read_selector(run)
-    return kind.selector(network, own, config["environment"])
+    path = run / SELECTOR
+    tensors, metadata = read_tensors(path)
+    try:
+        sizes = parse_json(metadata["network"].encode(), path, "train again")
+        name = sizes.pop("kind", TrainedSelector.kind)
+        if name not in KINDS:
+            raise ValueError(suggest("kind of selector", name, KINDS))
+        kind = KINDS[name]
+        network = kind.network_type(kind.sizes_type(**sizes))
+    except (KeyError, TypeError, ValueError, RuntimeError, ArithmeticError) as error:
+        raise ValueError(f"{path} holds no selector ({error}); train again") from error
+    check_layers(path, tensors, network.state_dict())
+    network.load_state_dict(tensors)
+    return kind(network.eval(), own, config["environment"])
 
 
 def learned_from_truth(run: str | Path) -> bool:
@@ -67,6 +91,3 @@ def learned_from_truth(run: str | Path) -> bool:
     """
     training = read_config(Path(run)).get("training")
     return isinstance(training, dict) and training.get("reward") == "ground_truth"
-
-
-KIND = Kind("selector", NetworkConfig, SelectorNetwork, TrainedSelector)

@@ -16,9 +16,8 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from amusic_agents.learners import Kind
-from amusic_agents.learners.driver import NetworkSelector
-from amusic_agents.network import ROUTE_WIDTH, SetEncoder, SetSizes, presence
+from amusic_agents.config import WIDEST, SetSizes, count
+from amusic_agents.network import ROUTE_WIDTH, NetworkSelector, SetEncoder, presence
 from amusic_gym.envs.observation import ROUTE_FEATURES
 from amusic_gym.estimation.settings import COMPUTE_WEIGHT_RANGE
 
@@ -51,21 +50,21 @@ def valid(present: torch.Tensor, idle: bool = False) -> torch.Tensor:
     Where idling is not allowed, the environment would run the cheapest technique instead of it.
     """
     member = members(present.shape[1])
-    strange = (~present).float() @ member.float().T  # (B, A) absent members of each
-    allowed = strange < 0.5
+    absent = (~present).float() @ member.float().T  # (B, A) absent members of each
+    allowed = absent < 0.5
     allowed[:, 0] = idle
     return allowed
 
 
 @dataclass(frozen=True)
 class SubsetSizes(SetSizes):
-    """Sizes of the network, and how many of it there are.
+    """Sizes of the network.
 
     Attributes:
         ensemble: networks whose values are averaged.
     """
 
-    ensemble: int = 4
+    ensemble: int = count(4, most=WIDEST)
 
 
 class SubsetValues(nn.Module):
@@ -77,18 +76,18 @@ class SubsetValues(nn.Module):
 
     def __init__(self, sizes: SetSizes) -> None:
         super().__init__()
-        self.encoder = SetEncoder(sizes)
+        layers = SetEncoder(sizes)
+        self.encoder = nn.ModuleDict({"layers": layers})  # as stored weights name them
         self.member = nn.Linear(sizes.encoding, sizes.hidden, bias=False)
-        self.whole = nn.Linear(self.encoder.pooled, sizes.hidden)
+        self.whole = nn.Linear(layers.pooled, sizes.hidden)
         self.value = nn.Linear(sizes.hidden, 2)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """(B, A, 2); absent members count nothing."""
-        codes, pool = self.encoder(observation)
+        codes, pool = self.encoder["layers"](observation)
         member = members(codes.shape[1]).float()  # (A, S)
         sums = torch.einsum("as,bsh->bah", member, self.member(codes))  # (B, A, H)
-        values: torch.Tensor = self.value(torch.relu(sums + self.whole(pool).unsqueeze(1)))
-        return values
+        return self.value(torch.relu(sums + self.whole(pool).unsqueeze(1)))
 
 
 class SubsetNetwork(nn.Module):
@@ -102,6 +101,7 @@ class SubsetNetwork(nn.Module):
 
     def __init__(self, sizes: SubsetSizes) -> None:
         super().__init__()
+        self.sizes = sizes
         self.ensemble = nn.ModuleList(SubsetValues(sizes) for _ in range(sizes.ensemble))
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
@@ -118,12 +118,15 @@ def compute_weight(observation: torch.Tensor) -> torch.Tensor:
     """λ (B,) that observations (B, D) are of, within the range that they resolve."""
     low, high = COMPUTE_WEIGHT_RANGE
     place = 0.5 * (observation[:, WEIGHT - ROUTE_WIDTH] + 1.0)
-    weight: torch.Tensor = low * (high / low) ** place
-    return weight
+    return low * (high / low) ** place
 
 
-class SubsetSelector(NetworkSelector[SubsetNetwork]):
+class SubsetSelector(NetworkSelector):
     """Runs the subset with the highest rating."""
+
+    kind = "subsets"
+    sizes_type = SubsetSizes
+    network_type = SubsetNetwork
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
         """The members of the best subset, (N, S)."""
@@ -133,6 +136,3 @@ class SubsetSelector(NetworkSelector[SubsetNetwork]):
             allowed = valid(present, self.needs.allow_idle)
             ratings = self.network(seen).masked_fill(~allowed, -torch.inf)
         return members(present.shape[1])[ratings.argmax(1)].numpy()
-
-
-KIND = Kind("subsets", SubsetSizes, SubsetNetwork, SubsetSelector)

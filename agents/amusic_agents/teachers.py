@@ -1,14 +1,13 @@
-"""Teachers of an imitation: one for every λ, and how far a student agrees with it."""
+"""Teachers of an imitation: one for every λ."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.evaluation.rollout import Job, rollouts
 from amusic_gym.policies.protocol import Needs, Selector
 
 
@@ -61,51 +60,3 @@ def partition(weights: tuple[float, float], parts: int) -> tuple[list[float], li
     """
     points = np.geomspace(*weights, 2 * parts + 1)
     return points[2:-1:2].tolist(), points[1::2].tolist()
-
-
-def by_weight(
-    teacher: Callable[[float], Selector], weights: tuple[float, float], parts: int
-) -> ByWeight:
-    """A teacher for each part of a range of λ.
-
-    Args:
-        teacher: makes the one for the λ in the middle of a part.
-        weights: the range.
-        parts: how many.
-    """
-    edges, middles = partition(weights, parts)
-    return ByWeight(edges, [teacher(middle) for middle in middles])
-
-
-class _Watched:
-    """Drives as a student does, and counts where the teacher would have done the same."""
-
-    def __init__(self, student: Selector, teacher: Selector) -> None:
-        self.student, self.teacher = student, teacher
-        self.needs = student.needs
-        self.same, self.all = 0, 0
-
-    def reset(self, mask: NDArray[np.bool_]) -> None:
-        self.student.reset(mask)
-        self.teacher.reset(mask)
-
-    def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[Any]:
-        actions, present = self.student.act(observation, info), info["present"]
-        label = np.asarray(self.teacher.act(observation, info)) == 1
-        self.same += int(((actions == label) & present).sum())
-        self.all += int(present.sum())
-        return actions
-
-
-def agreement(student: Selector, teacher: Selector, jobs: Sequence[Job], statistic: str) -> float:
-    """Share of the bits that a teacher would have set as its student did, on the student's way.
-
-    Args:
-        student: drives.
-        teacher: is asked on all that the student sees.
-        jobs: routes and λ.
-        statistic: SIC's statistic.
-    """
-    watched = _Watched(student, teacher)
-    rollouts(watched, jobs, name="student", statistic=statistic)
-    return watched.same / watched.all

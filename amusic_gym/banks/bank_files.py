@@ -25,7 +25,7 @@ MANIFEST, SCORES, TRUTH = "bank.json", "scores.npy", "ground_truth.npz"
 FILES = frozenset((MANIFEST, SCORES, TRUTH))
 _MOST_MANIFEST, _MOST_HEADERS = 2**24, 2**16  # bytes; of ground_truth.npz beside its numbers
 _READ_ATTEMPTS = 20
-_REBUILD = "copy the bank again or build it anew with scripts/bank.py"
+_REBUILD = "copy the bank again or build it anew with amusic bank"
 
 
 def write(

@@ -13,10 +13,10 @@ from __future__ import annotations
 import argparse
 from functools import partial
 
-from amusic_gym.cli.contestants import contestants
 from amusic_gym.cli.parser import Parser, correction_of, insisted
 from amusic_gym.cli.policies import add_policies, banks_of
-from amusic_gym.evaluation.comparison import all_subsets, check_weights, compare, draw, table
+from amusic_gym.evaluation.comparison import compare, draw, table
+from amusic_gym.evaluation.contestants import all_subsets, check_weights, contestants
 
 
 def add_arguments(parser: Parser) -> None:

@@ -15,22 +15,22 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 
-from amusic_agents.config import RolloutConfig, TrainingConfig, stored_config
-from amusic_agents.policy_iteration import iterate_policy
-from amusic_agents.run_folder import CHECKPOINT
+from amusic_agents.config import RolloutConfig, TrainingConfig
+from amusic_agents.run_folder import CHECKPOINT, stored_config
 from amusic_agents.selector import load_selector
+from amusic_agents.training import train
 
 from amusic_gym.banks.bank import COST_MODELS, ScoreBank
 from amusic_gym.banks.importers import from_recording
 from amusic_gym.cli import demo_story as story
 from amusic_gym.cli import demo_tours as rendered
-from amusic_gym.cli.contestants import contestants
 from amusic_gym.cli.parser import Parser, destination
-from amusic_gym.cli.rivals import study_rivals
-from amusic_gym.evaluation.comparison import all_subsets, compare, draw, table
+from amusic_gym.evaluation.comparison import compare, draw, table
+from amusic_gym.evaluation.contestants import all_subsets, contestants
 from amusic_gym.evaluation.metrics import mean_rows
 from amusic_gym.evaluation.report import ReportFigure, write_report
 from amusic_gym.evaluation.study import figures
+from amusic_gym.evaluation.study.rivals import study_rivals
 
 REAL = ("HOG", "CALC", "CoHOG", "NetVLAD")
 ITERATIONS = 3
@@ -99,7 +99,7 @@ def main(given: argparse.Namespace) -> None:
     tours = rendered.make_tours(out, say)
     banks = [bank.with_costs(given.costs) for bank in rendered.banks_of(tours, out, say)]
     say(f"training a selector on simulated routes: {given.iterations} iterations")
-    iterate_policy(run_folder, config, resume=(run_folder / CHECKPOINT).exists())
+    train(run_folder, config, resume=(run_folder / CHECKPOINT).exists())
     trained = f"ppo:{run_folder}"
 
     with warnings.catch_warnings():

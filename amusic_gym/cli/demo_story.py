@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from amusic_gym.evaluation.audit import PARTING
 from amusic_gym.evaluation.plots.labels import policy_label
 from amusic_gym.evaluation.study import Findings
-from amusic_gym.evaluation.study.cells import FRONTS, IDLE
 from amusic_gym.evaluation.study.findings import ahead
 from amusic_gym.evaluation.study.plan import MEAN
 from amusic_gym.evaluation.study.run import Row
+from amusic_gym.policies.registry import FRONTS, MAY_IDLE
 
 
 def best_within(rows: Sequence[Row], compute: float) -> Row:
@@ -65,8 +65,8 @@ def _standing(findings: Findings, own: Row) -> str:
         for row in findings.matches
         if all(row[name] == own[name] for name in key) and row["rival"] is not None
     ]
-    idle = [row for row in matches if row["kind"] == FRONTS[IDLE]]
-    others = [row for row in matches if row["kind"] != FRONTS[IDLE]]
+    idle = [row for row in matches if row["kind"] == FRONTS[MAY_IDLE]]
+    others = [row for row in matches if row["kind"] != FRONTS[MAY_IDLE]]
     said = f"At no more compute it is {_verdicts(others)}." if others else "Nothing is so cheap."
     if idle:
         said += f" Of rules under which nothing may run on a frame it is {_verdicts(idle)}."

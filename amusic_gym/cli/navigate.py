@@ -20,7 +20,6 @@ import numpy as np
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.ground_truth import check_tolerance
-from amusic_gym.cli.contestants import contestants
 from amusic_gym.cli.drive import Journal, check_outputs
 from amusic_gym.cli.images import map_of, run_of, techniques_of
 from amusic_gym.cli.parser import Parser, add_statistic, correction_of, destination, insisted
@@ -28,7 +27,7 @@ from amusic_gym.envs.live_route import FrameSource, ImageSequence, LiveRoute
 from amusic_gym.envs.pictures.sightings import Pictures
 from amusic_gym.envs.task import RENDER_FPS
 from amusic_gym.envs.window import Window
-from amusic_gym.evaluation.comparison import Contestant, check_weights
+from amusic_gym.evaluation.contestants import Contestant, check_weights, contestants
 from amusic_gym.evaluation.plots.labels import policy_label
 from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.map import DescribedMap, describe_map

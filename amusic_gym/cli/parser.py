@@ -9,7 +9,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from amusic_gym.banks.bank_files import refuse_within_bank
 from amusic_gym.cli.options import SHARED
+from amusic_gym.estimation.settings import STATISTICS, SICSettings
 from amusic_gym.utils.escaping import for_terminal
 from amusic_gym.utils.names import nearest, suggest
 
@@ -76,8 +78,6 @@ class Parser(argparse.ArgumentParser):
 
 def destination(text: str) -> Path:
     """A file or folder to write, as argparse's ``type``: nothing goes into a bank's folder."""
-    from amusic_gym.banks.bank_files import refuse_within_bank
-
     try:
         refuse_within_bank(Path(text))
     except ValueError as error:
@@ -92,27 +92,18 @@ def add_statistic(parser: Parser, whose: str) -> None:
         parser: of the command.
         whose: as in "for all policies but amusic".
     """
-    from amusic_gym.estimation.settings import STATISTICS, SICSettings
-
-    default = SICSettings.statistic
-    about = f"of SIC, {whose} (default: {default})"
+    about = f"of SIC, {whose} (default: {SICSettings.statistic})"
     parser.add_argument("--statistic", choices=STATISTICS, help=about)
     add_correction(parser, whose)
 
 
 def add_correction(parser: Parser, whose: str) -> None:
     """Add what turns off the two things that the statistic `evidence` brings."""
-    for name, about in (
-        ("carry", "no carried candidates for SIC"),
-        ("discount", "MuSIC takes alike rows as they are"),
-    ):
-        parser.add_argument(
-            f"--no-{name}",
-            dest=name,
-            action="store_const",
-            const=False,
-            help=f"{about}, {whose}",
-        )
+    off: dict[str, Any] = {"action": "store_const", "const": False}
+    without = f"no carried candidates for SIC, {whose}"
+    parser.add_argument("--no-carry", dest="carry", help=without, **off)
+    as_they_are = f"MuSIC takes alike rows as they are, {whose}"
+    parser.add_argument("--no-discount", dest="discount", help=as_they_are, **off)
 
 
 def insisted(args: argparse.Namespace) -> dict[str, Any]:
@@ -122,8 +113,6 @@ def insisted(args: argparse.Namespace) -> dict[str, Any]:
 
 def correction_of(args: argparse.Namespace) -> dict[str, Any]:
     """SIC and MuSIC as the user wants them, with the statistic of whoever said nothing."""
-    from amusic_gym.estimation.settings import SICSettings
-
     return {**insisted(args), "statistic": args.statistic or SICSettings.statistic}
 
 

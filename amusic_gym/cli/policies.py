@@ -7,7 +7,7 @@ import argparse
 from amusic_gym.banks.bank import COST_MODELS, ScoreBank
 from amusic_gym.cli.options import MANY
 from amusic_gym.cli.parser import Parser, add_statistic, destination
-from amusic_gym.evaluation.comparison import COMPUTE_WEIGHTS, MOST_TECHNIQUES
+from amusic_gym.evaluation.contestants import COMPUTE_WEIGHTS, MOST_TECHNIQUES
 
 
 def add_policies(parser: Parser, whose: str, most_weights: str = "") -> None:

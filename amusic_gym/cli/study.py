@@ -16,10 +16,10 @@ from pathlib import Path
 from amusic_gym.cli.options import MANY
 from amusic_gym.cli.parser import Parser, correction_of, insisted, pairs
 from amusic_gym.cli.policies import add_policies, banks_of
-from amusic_gym.cli.study_policies import Lineup
 from amusic_gym.evaluation import study
-from amusic_gym.evaluation.comparison import check_weights
+from amusic_gym.evaluation.contestants import check_weights
 from amusic_gym.evaluation.study.figures import draw
+from amusic_gym.evaluation.study.lineup import Lineup
 from amusic_gym.evaluation.study.tables import text, write_markdown
 from amusic_gym.extraction.executors import make_executor
 

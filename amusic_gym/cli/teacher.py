@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from amusic_agents.config import TrainingConfig
+from amusic_agents.evaluation import measure
 from amusic_agents.teachers import ByWeight, partition
 from amusic_agents.training import simulated_routes
 from amusic_baselines.cascade import Cascade
 from tqdm import tqdm
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.evaluation.metrics import compute
-from amusic_gym.evaluation.rollout import Job, rollouts
+from amusic_gym.evaluation.rollout import Job
 from amusic_gym.utils.storage import read_json, write_whole
 
 FILE = "teacher.json"
@@ -32,8 +32,7 @@ EVERYTHING = 99
 """Always running so many of the cheapest techniques is running all."""
 
 
-@dataclass(frozen=True)
-class Parameters:
+class Parameters(NamedTuple):
     """Arguments of a :class:`amusic_baselines.cascade.Cascade`."""
 
     cheap: int
@@ -65,6 +64,42 @@ class Choice(NamedTuple):
     compute: float
 
 
+def make_teacher(
+    out: Path,
+    config: TrainingConfig,
+    *,
+    resume: bool = False,
+    routes: int = ROUTES,
+    grid: Sequence[Parameters] = GRID,
+) -> ByWeight:
+    """The teacher of a run: chosen, and written to its ``teacher.json``.
+
+    Args:
+        out: the imitation's run folder.
+        config: of the imitation.
+        resume: take the teacher of the file, if there is one.
+        routes: simulated routes to choose on.
+        grid: what is tried.
+
+    Raises:
+        ValueError: for a damaged ``teacher.json``.
+    """
+    path = out / FILE
+    low, high = config.compute_weights
+    if resume and path.exists():
+        choices = _read(path)
+    else:
+        _, middles = partition((low, high), PARTS if low < high else 1)
+        how: dict[str, Any] = {"statistic": config.statistic, "environment": config.environment()}
+        choices = choose_cascades(teacher_routes(config, routes), middles, grid=grid, **how)
+        rows = [
+            {**choice._asdict(), "parameters": choice.parameters._asdict()} for choice in choices
+        ]
+        write_whole(path, (json.dumps(rows, indent=1) + "\n").encode())
+    edges, _ = partition((low, high), len(choices))
+    return ByWeight(edges, [Cascade(*choice.parameters) for choice in choices])
+
+
 def teacher_routes(config: TrainingConfig, routes: int = ROUTES) -> list[ScoreBank]:
     """Simulated routes of a training's seed; no evaluation uses them."""
     source = simulated_routes(replace(config, pool=routes))
@@ -93,15 +128,11 @@ def choose_cascades(
         grid: what is tried.
         progress: whether to show a progress bar.
     """
-    measured = []  # (parameters) of (accuracy, compute)
     jobs = [Job(bank) for bank in banks]
-    options: dict[str, Any] = {"statistic": statistic, **(environment or {})}
-    for parameters in tqdm(grid, desc="choosing the teacher", disable=not progress):
-        cascade = Cascade(**asdict(parameters))
-        traces = rollouts(cascade, jobs, name="cascade", **options)
-        correct = np.mean([trace.correct.mean() for trace in traces])
-        measured.append((correct, np.mean([compute(trace) for trace in traces])))
-    accuracy, cost = np.array(measured).T
+    options = {"statistic": statistic, **(environment or {})}
+    bar = tqdm(grid, desc="choosing the teacher", disable=not progress)
+    means = [measure(Cascade(*each), jobs, **options)[:2].mean(axis=1) for each in bar]
+    accuracy, cost = np.array(means).T
     choices = []
     for weight in weights:
         scores = accuracy - weight * cost
@@ -109,52 +140,6 @@ def choose_cascades(
         reached = (scores[best], accuracy[best], cost[best])
         choices.append(Choice(float(weight), grid[best], *map(float, reached)))
     return choices
-
-
-def teacher_of(choices: Sequence[Choice], weights: tuple[float, float]) -> ByWeight:
-    """The teacher that follows the choice for each part of a range of λ."""
-    edges, _ = partition(weights, len(choices))
-    return ByWeight(edges, [Cascade(**asdict(choice.parameters)) for choice in choices])
-
-
-def make_teacher(
-    out: Path,
-    config: TrainingConfig,
-    *,
-    resume: bool = False,
-    routes: int = ROUTES,
-    grid: Sequence[Parameters] = GRID,
-) -> ByWeight:
-    """The teacher of a run: chosen, and written to its ``teacher.json``.
-
-    Args:
-        out: the imitation's run folder.
-        config: of the imitation.
-        resume: take the teacher of the file, if there is one.
-        routes: simulated routes to choose on.
-        grid: what is tried.
-
-    Raises:
-        ValueError: for a damaged ``teacher.json``.
-    """
-    path = out / FILE
-    low, high = config.compute_weights
-    if resume and path.exists():
-        choices = _read(path)
-    else:
-        _, middles = partition((low, high), PARTS if low < high else 1)
-        banks = teacher_routes(config, routes)
-        how = {"statistic": config.statistic, "environment": config.environment()}
-        choices = choose_cascades(banks, middles, grid=grid, **how)  # type: ignore[arg-type]
-        _write(path, choices)
-    return teacher_of(choices, (low, high))
-
-
-def _write(path: Path, choices: Sequence[Choice]) -> None:
-    rows: list[dict[str, Any]] = [
-        {**choice._asdict(), "parameters": asdict(choice.parameters)} for choice in choices
-    ]
-    write_whole(path, (json.dumps(rows, indent=1) + "\n").encode())
 
 
 def _read(path: Path) -> list[Choice]:

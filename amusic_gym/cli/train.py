@@ -18,13 +18,6 @@ from amusic_gym.cli.parser import Parser, add_correction, destination, pairs
 if TYPE_CHECKING:
     from amusic_agents.config import TrainingConfig
 
-
-def main(given: argparse.Namespace) -> None:
-    """Train, say where the selector is."""
-    learn(given, _config(given))
-    print(f"The best selector is in {given.out}; compare it with --policy ppo:{given.out}")
-
-
 LEARNING = {
     "n_steps": "frames per route between two updates",
     "batch_size": "frames per gradient step, at most",
@@ -45,43 +38,9 @@ def option(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
-def learn(given: argparse.Namespace, config: TrainingConfig) -> None:
-    """Train with the configuration's algorithm, after choosing a teacher where it needs one."""
-    from amusic_agents.training import (
-        train,
-    )  # here, so that Ctrl-C in its long import ends well too
-
-    if "imitation" in config.algorithm:
-        _imitate(given, config)
-    elif config.algorithm == "rollouts":
-        from amusic_agents.policy_iteration import iterate_policy
-
-        iterate_policy(given.out, config, banks=given.bank, resume=given.resume)
-    else:
-        start = given.warm_start
-        train(given.out, config, banks=given.bank, resume=given.resume, warm_start=start)
-
-
-def _imitate(given: argparse.Namespace, config: TrainingConfig) -> None:
-    from amusic_agents.imitation import IMITATION, imitate, imitate_then_train
-    from amusic_agents.training import refuse_used
-
-    from amusic_gym.cli.teacher import make_teacher
-
-    alone = config.algorithm == "imitation"
-    folder = given.out if alone else given.out / IMITATION
-    if not given.resume:  # choosing the teacher takes a while
-        refuse_used(given.out)
-        refuse_used(folder)
-    teacher = make_teacher(folder, config, resume=given.resume)
-    run_it = imitate if alone else imitate_then_train
-    run_it(given.out, config, teacher, banks=given.bank, resume=given.resume)
-
-
 def add_arguments(parser: Parser) -> None:
     """Add the command's arguments."""
-    from amusic_agents.config import TrainingConfig
-    from amusic_agents.learners import ALGORITHMS
+    from amusic_agents.config import ALGORITHMS, TrainingConfig
 
     defaults = TrainingConfig()
     add = parser.add_argument
@@ -97,11 +56,10 @@ def add_arguments(parser: Parser) -> None:
         help="that step the routes, with rollouts processes: sooner, the same result (default: 1)",
     )
     for name, of in LEARNING.items():
-        kind, default = type(getattr(defaults, name)), getattr(defaults, name)
-        add(option(name), type=kind, help=f"{of} (default of ppo: {default})")
+        default = getattr(defaults, name)
+        add(option(name), type=type(default), help=f"{of} (default of ppo: {default})")
     for name, of in ROLLOUTS.items():
-        default = getattr(defaults.rollouts, name)
-        add(option(name), type=int, help=f"{of} (default: {default})")
+        add(option(name), type=int, help=f"{of} (default: {getattr(defaults.rollouts, name)})")
     add("--statistic", help=f"of SIC (default: {defaults.statistic})")
     add_correction(parser, "in training and ever after")
     add("--reward", help=f"estimated or ground_truth (default: {defaults.reward})")
@@ -118,7 +76,6 @@ def add_arguments(parser: Parser) -> None:
         const=True,
         help="with rollouts: the selector may run nothing on a frame",
     )
-    add("--warm-start", type=Path, metavar="RUN", help="let ppo begin from this run's selector")
     add(
         "--resume",
         action="store_true",
@@ -126,42 +83,64 @@ def add_arguments(parser: Parser) -> None:
     )
 
 
-def _config(given: argparse.Namespace) -> TrainingConfig:
-    """The defaults, or the configuration of the run to resume, with what was given."""
-    from amusic_agents.config import WARM_START, training_config
+def main(args: argparse.Namespace) -> None:
+    """Train, say where the selector is."""
+    learn(args.out, _config(args), args.bank, args.resume)
+    print(f"The best selector is in {args.out}; compare it with --policy ppo:{args.out}")
 
-    given_names = (
-        "algorithm timesteps seed n_envs threads statistic carry discount allow_idle reward"
-    )
-    names = [*given_names.split(), *LEARNING]
-    chosen = {name: getattr(given, name) for name in names if getattr(given, name) is not None}
-    if given.simulation:
-        chosen["simulation"] = ranges(given.simulation)
-    algorithm = chosen.get("algorithm", "ppo")
-    if given.warm_start and (given.resume or algorithm != "ppo"):
-        raise ValueError(
-            "--warm-start begins a training with ppo; leave it out to resume, or with another"
-            " algorithm"
-        )
-    tried = {name: getattr(given, name) for name in ROLLOUTS if getattr(given, name) is not None}
-    if not given.resume:
-        if tried and algorithm != "rollouts":
+
+def learn(
+    out: Path, config: TrainingConfig, banks: Sequence[str] = (), resume: bool = False
+) -> None:
+    """Train with the configuration's algorithm, after choosing a teacher where it needs one.
+
+    Args:
+        out: the run folder.
+        config: how.
+        banks: folders of banks to train on; none: simulated routes.
+        resume: go on from the folder's last checkpoint.
+    """
+    from amusic_agents.training import IMITATION, refuse_used, train
+
+    from amusic_gym.cli.teacher import make_teacher
+
+    teacher = None
+    if "imitation" in config.algorithm:
+        if not resume:  # choosing the teacher takes a while
+            refuse_used(out)
+        folder = out if config.algorithm == "imitation" else out / IMITATION
+        teacher = make_teacher(folder, config, resume=resume)
+    train(out, config, banks=banks, teacher=teacher, resume=resume)
+
+
+def _config(args: argparse.Namespace) -> TrainingConfig:
+    """The defaults, or the configuration of the run to resume, with what was given."""
+    from amusic_agents.config import training_config
+    from amusic_agents.run_folder import stored_config
+
+    given = {name: value for name, value in vars(args).items() if value is not None}
+    for name in ("out", "bank", "resume", "parser"):
+        given.pop(name, None)
+    if args.simulation:
+        given["simulation"] = ranges(args.simulation)
+    tried = {name: given.pop(name) for name in ROLLOUTS if name in given}
+    if not args.resume:
+        config = training_config(given.pop("algorithm", "ppo"), **given)
+        if tried and config.algorithm != "rollouts":
             raise ValueError(
                 f"{option(next(iter(tried)))} is of the algorithm rollouts; leave it out, or give"
                 " --algorithm rollouts"
             )
-        defaults = WARM_START if given.warm_start else {}
-        config = training_config(**{"algorithm": algorithm, **defaults, **chosen})
         return replace(config, rollouts=replace(config.rollouts, **tried)) if tried else config
-    base = _stored(given.out)
+    base = stored_config(args.out)
     own = {**vars(base.rollouts), **vars(base)}
-    for name, value in {**chosen, **tried}.items():
+    for name, value in {**given, **tried}.items():
         if name not in ("timesteps", "threads") and value != own[name]:
             raise ValueError(
-                f"{name} is {value}, but {given.out} was trained with"
+                f"{name} is {value}, but {args.out} was trained with"
                 f" {own[name]}; leave it out to resume, or give another folder"
             )
-    return replace(base, **chosen)
+    return replace(base, **given)
 
 
 def ranges(items: Sequence[str]) -> dict[str, float | str | tuple[float, ...]]:
@@ -175,13 +154,3 @@ def _value(text: str) -> float | str | tuple[float, ...]:
     except ValueError:
         return text  # a word, such as a kind of motion
     return numbers if len(numbers) > 1 else numbers[0]
-
-
-def _stored(out: Path) -> TrainingConfig:
-    """The configuration of a run, or of the imitation that it was stopped in."""
-    from amusic_agents.config import stored_config
-    from amusic_agents.imitation import IMITATION
-    from amusic_agents.run_folder import CONFIG
-
-    begun = (out / CONFIG).exists() or not (out / IMITATION / CONFIG).exists()
-    return stored_config(out if begun else out / IMITATION)

@@ -21,7 +21,7 @@ from amusic_gym.envs.live_route import ENDLESS
 from amusic_gym.envs.observation import declare_costs
 from amusic_gym.envs.outcome import PAST_END, Outcome, OutcomeShape
 from amusic_gym.envs.sources import Recording
-from amusic_gym.envs.step import StepTable, choose_routes, observe_routes
+from amusic_gym.envs.step import StepTable, choose_routes, observe_routes, select_routes
 from amusic_gym.estimation.batch import Batch, RouteState, SlotState
 from amusic_gym.estimation.estimator import make_estimator
 from amusic_gym.estimation.settings import COVERAGE, SICSettings
@@ -222,6 +222,7 @@ class Episodes:
                 self._compute(i, self._missed(i) if batch.wanted[i] else [])
             batch.slots["late_runs"] = 0
             self.estimator.look_back()
+            select_routes(self._address)
         else:
             batch.wanted[:] = False
         choose_routes(self._address)

@@ -39,12 +39,14 @@ _step_at: Any = reader(StepTable)
 def begin_step(step: StepTable, i: int) -> None:
     """Forget what belongs to the last step of a route."""
     route, slots = step.batch.routes[i], step.batch.slots[i]
-    route.idle, route.fallback, route.selected = False, False, False
-    route.technique, route.similarity, route.seconds = -1, 0.0, 0.0
+    route.idle, route.fallback, route.technique, route.similarity = False, False, -1, 0.0
+    route.selected = step.batch.wanted[i]
     for s in range(slots.size):
-        slots[s].ran, slots[s].chosen, slots[s].selected, slots[s].tally = False, False, False, 0
-        if not step.batch.wanted[i]:
-            slots[s].late_runs = 0
+        slots[s].ran, slots[s].chosen = False, False
+    if not route.selected:
+        route.seconds = 0.0
+        for s in range(slots.size):
+            slots[s].selected, slots[s].tally, slots[s].late_runs = False, 0, 0
 
 
 @inner
@@ -79,6 +81,19 @@ def charge(batch: Batch, i: int) -> None:
 
 
 @compiled
+def select_routes(address: int) -> None:
+    """Select techniques on the routes that want it, after an estimator has looked back.
+
+    Args:
+        address: of the words of a :class:`StepTable`.
+    """
+    step = _step_at(address)
+    for i in range(step.batch.wanted.size):
+        if step.batch.wanted[i]:
+            select(step.batch, i, step.coverage)
+
+
+@compiled
 def choose_routes(address: int) -> None:
     """Decide what runs on the next frame of every active route.
 
@@ -95,8 +110,6 @@ def choose_routes(address: int) -> None:
             batch.routes[i].bad_row = PAST_END
         if batch.active[i]:
             begin_step(step, i)
-            if batch.wanted[i]:
-                select(batch, i, step.coverage)
             choose_runs(step, i)
             charge(batch, i)
 

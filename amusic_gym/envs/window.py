@@ -107,7 +107,7 @@ def _begin(pygame: Any) -> None:
 def _refusal(why: str) -> OSError:
     return OSError(
         f"no window can be opened here ({why}); ask for pictures without one "
-        "(render_mode='rgb_array', navigate.py --video), or set SDL_VIDEODRIVER=dummy"
+        "(render_mode='rgb_array', amusic navigate --video), or set SDL_VIDEODRIVER=dummy"
     )
 
 

@@ -29,9 +29,10 @@ def select(batch: Batch, i: int, coverage: float) -> None:
     """Select techniques by the statistics of the last block, and charge its late runs."""
     route, slots = batch.routes[i], batch.slots[i]
     size = min(batch.block, route.frame + 1)
+    route.seconds = 0.0
     for s in range(slots.size):
+        slots[s].selected, slots[s].tally = False, 0
         route.seconds += slots[s].late_runs * slots[s].seconds
     for past in range(size):
         slots[first_best(batch.statistics[i, past], slots.size)].tally += 1
     take_techniques(slots, size, coverage)
-    route.selected = True

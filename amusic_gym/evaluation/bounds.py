@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from amusic_gym.evaluation.metrics import mean_rows
+from amusic_gym.policies.registry import FIXED, parse
 from amusic_gym.utils.names import suggest
 
-FIXED_SUBSETS = ("single", "subset", "music")  # policies that run the same techniques throughout
 SINGLE_BEST, VIRTUAL_BEST = "single best", "virtual best"  # what their rows call the policy
 QUALITIES = ("auc", "auc_vprbench", "auc_paper", "accuracy")  # columns of which more is better
 ROUNDING = 1e-9  # of computes
@@ -85,7 +85,7 @@ def gap_closed(value: float, single: float, virtual: float) -> float | None:
 
 def is_fixed(policy: str) -> bool:
     """Whether a policy runs the same techniques on every frame, corrected by SIC."""
-    return policy.partition(":")[0] in FIXED_SUBSETS
+    return parse(policy).policy.family == FIXED
 
 
 def _fixed(rows: Sequence[Row]) -> list[Row]:

@@ -1,68 +1,40 @@
 """Policies against each other on the same routes: rows, traces and figures in one folder.
 
 Every finished row is kept at once, so that a comparison which was stopped or killed goes on where
-it was. Which policies there are is the caller's to say: this package knows none by name.
+it was.
 """
 
 from __future__ import annotations
 
-import math
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from amusic_gym import __version__
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.bank_files import refuse_within_bank
 from amusic_gym.estimation.settings import SICSettings, statistic_label
-from amusic_gym.evaluation import comparison_files, metrics
+from amusic_gym.evaluation import metrics, rollout, store
 from amusic_gym.evaluation.audit import Audit, audit, parting
-from amusic_gym.evaluation.marks import footnote, marked
+from amusic_gym.evaluation.contestants import Contestant
 from amusic_gym.evaluation.report import ReportFigure
-from amusic_gym.evaluation.rollout import rollout
-from amusic_gym.policies.protocol import Context, Correction, Policy
-from amusic_gym.policies.trace import Trace
+from amusic_gym.evaluation.tables import Table, footnote, marked
+from amusic_gym.policies.protocol import Context, Correction
+from amusic_gym.policies.registry import parse
+from amusic_gym.policies.trace import DONE, Trace
 from amusic_gym.utils.checks import whole
-from amusic_gym.utils.imports import PACKAGE
-from amusic_gym.utils.storage import keep_only
-
-COMPUTE_WEIGHTS = (0.01, 0.05, 0.15, 0.3, 0.6, 1.0, 2.0, 6.0)
-"""The compute weights λ that a policy which reads λ is run with where none are named."""
-
-MOST_TECHNIQUES = 6
-"""Up to so many techniques all their subsets can be compared: 63 of them."""
+from amusic_gym.utils.storage import keep_only, write_whole
 
 ROWS, TRACES, RESULTS = "rows", "traces", "results.json"
 
 MOST_CURVES = 16  # more traces than these in a figure of curves: subsets are left out
 MOST_PANELS = 8  # traces in a figure of selections
-ALWAYS_THE_SAME = (  # policies whose runs are known before the route
-    *("raw", "single", "subset", "music", "periodic"),
-    *("mpf", "hmpf", "dynmpf", "plurality", "borda", "hmm"),
-)
 
 Report = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class Contestant:
-    """A policy in a comparison.
-
-    Attributes:
-        name: of the policy in tables and files.
-        make: builds it, afresh for every row.
-        compute_weights: the λ that it is run with, one row each; None: it has no such thing.
-        version: what its behaviour depends on besides its name: a digest of its weights or code.
-        needs_truth: of what it needs ground truth, if it does; tables say so.
-    """
-
-    name: str
-    make: Callable[[Context], Policy]
-    compute_weights: tuple[float | None, ...] = (None,)
-    version: str = ""
-    needs_truth: str = ""
 
 
 @dataclass(frozen=True)
@@ -90,10 +62,11 @@ class _Entry:
     contestant: Contestant
     context: Context
     compute_weight: float | None
-    key: comparison_files.Key
+    own: Correction
+    key: Mapping[str, Any]  # all that may change the row
 
     def run(self) -> Trace:
-        return rollout(
+        return rollout.rollout(
             self.contestant.make(self.context),
             self.context.bank,
             name=self.contestant.name,
@@ -151,13 +124,15 @@ def compare(
     files = [out / TRACES / f"{stem}.csv" for stem in distinct([_stem(e) for e in entries])]
     traces, rows = [], []
     for number, (entry, file) in enumerate(zip(entries, files, strict=True), 1):
-        trace, row, kept = _finish(entry, out / ROWS, report)
+        trace, kept = _finish(entry, out / ROWS, report)
+        row = metrics.summarise(trace)
         trace.write_csv(file)
         traces.append(trace)
         rows.append(row)
         report(f"[{number}/{len(entries)}] {_line(row)}{' (was finished)' if kept else ''}")
     mean = metrics.mean_rows(_shared(rows))
-    comparison_files.save_results(out / RESULTS, rows, mean)
+    text = json.dumps({"rows": rows, "mean": mean}, indent=1, allow_nan=False)
+    write_whole(out / RESULTS, text.encode() + b"\n")
     keep_only(out, "traces", files)
     made = [entry.contestant for entry in entries]
     return Comparison(traces, rows, mean, {c.name: c.needs_truth for c in made if c.needs_truth})
@@ -187,8 +162,8 @@ def _entries(
 ) -> list[_Entry]:
     """The rows of one bank; builds each policy once to see that it can be built."""
     context = Context.of(bank, seed=seed, **chosen)
-    identity = comparison_files.bank_identity(bank)
-    code = comparison_files.code_digest(PACKAGE)
+    identity = store.bank_identity(bank)
+    code = store.code_digest(Path(rollout.__file__))
     entries = []
     chosen_ones = dict.fromkeys(contestants(bank))
     try:
@@ -210,23 +185,37 @@ def _entries(
                 "package_version": __version__,
                 "package_code": code,
             }
-            entries.append(_Entry(contestant, context, weight, key))
+            entries.append(_Entry(contestant, context, weight, own, key))
     return entries
 
 
-def _finish(entry: _Entry, folder: Path, report: Report) -> tuple[Trace, dict[str, Any], bool]:
-    """The entry's trace and row, and whether it was there already."""
+def _finish(entry: _Entry, folder: Path, report: Report) -> tuple[Trace, bool]:
+    """The entry's trace, and whether it was there already."""
+    stem = store.stem_of(entry.key)
     try:
-        trace = comparison_files.load_row(folder, entry.key, entry.context.bank)
+        if (kept := store.load(folder, stem)) is not None:
+            return _trace(entry, kept, folder, stem), True
     except ValueError as error:
         report(f"{error}: computed again")
-        trace = None
-    if trace is not None:
-        return trace, metrics.summarise(trace), True
     trace = entry.run()
-    row = metrics.summarise(trace)
-    comparison_files.save_row(folder, entry.key, trace, row)
-    return trace, row, False
+    done: dict[str, Any] = {name: getattr(trace, name).tolist() for name in DONE}
+    done["p_correct"] = [None if np.isnan(p) else p for p in done["p_correct"]]
+    store.save(folder, stem, {"row": metrics.summarise(trace), "trace": done})
+    return trace, False
+
+
+def _trace(entry: _Entry, kept: dict[str, Any], folder: Path, stem: str) -> Trace:
+    try:
+        return Trace.join(
+            entry.context.bank,
+            policy=entry.contestant.name,
+            statistic=entry.own.statistic,
+            carry=entry.own.carry,
+            compute_weight=entry.compute_weight,
+            **kept["trace"],
+        )
+    except (ValueError, LookupError, TypeError, ArithmeticError) as error:
+        raise store.damaged(folder, stem, error) from None
 
 
 def distinct(names: Sequence[str], taken: Iterable[str] = ()) -> list[str]:
@@ -266,31 +255,6 @@ def file_stem(name: str) -> str:
     return short.decode(errors="ignore") or "unnamed"
 
 
-def all_subsets(techniques: Sequence[str]) -> list[str]:
-    """The policies of every subset of the techniques: ``single:A``, ``subset:A+B``, ``music``.
-
-    Raises:
-        ValueError: for more than `MOST_TECHNIQUES`.
-    """
-    if len(techniques) > MOST_TECHNIQUES:
-        raise ValueError(
-            f"{len(techniques)} techniques have {2 ** len(techniques) - 1} subsets, too many to "
-            f"compare (all of up to {MOST_TECHNIQUES} techniques are); name some as subset:A+B"
-        )
-    parts = [f"single:{name}" for name in techniques]
-    for size in range(2, len(techniques)):
-        parts += [f"subset:{'+'.join(names)}" for names in combinations(techniques, size)]
-    return parts + (["music"] if len(techniques) > 1 else [])
-
-
-def check_weights(weights: Sequence[float]) -> tuple[float, ...]:
-    """Compute weights without repetition, refused where one is not a number >= 0."""
-    for weight in weights:
-        if not (math.isfinite(weight) and weight >= 0):
-            raise ValueError(f"compute weight is {weight}; give numbers >= 0")
-    return tuple(dict.fromkeys(float(weight) for weight in weights))
-
-
 # ---- table ---------------------------------------------------------------------------------
 
 
@@ -324,17 +288,9 @@ def partings(traces: Sequence[Trace]) -> list[str]:
 
 
 def _block(title: str, rows: Sequence[dict[str, Any]], needs_truth: dict[str, str]) -> str:
+    title = f"{title} ({rows[0]['queries']} frames, {rows[0]['costs']} costs)"
     heads = ["policy", "λ", "SIC", *(name.replace("_", " ") for name in COLUMNS)]
-    lines = [heads, *(_cells(row, needs_truth) for row in rows)]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(heads))]
-    text = [f"{title} ({rows[0]['queries']} frames, {rows[0]['costs']} costs)"]
-    for line in lines:
-        cells = [
-            cell.ljust(width) if i in (0, 2) else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ]
-        text.append("  ".join(cells).rstrip())
-    return "\n".join(text)
+    return Table(title, heads, [_cells(row, needs_truth) for row in rows], words=3).text()
 
 
 def _cells(row: dict[str, Any], needs_truth: dict[str, str]) -> list[str]:
@@ -401,20 +357,20 @@ def draw(comparison: Comparison, folder: str | Path) -> list[ReportFigure]:
 
 
 def _has_front(rows: Sequence[dict[str, Any]]) -> bool:
-    """Whether any row has a place in the front: policies without SIC have none."""
-    return any(row["policy"].partition(":")[0] != "raw" for row in rows)
+    """Whether any row has a place in the front."""
+    return any(parse(row["policy"]).policy.charted for row in rows)
 
 
 def _curves(traces: Sequence[Trace]) -> list[Trace]:
     """The traces that a figure of curves can hold: no subsets where there are many."""
     if len(traces) <= MOST_CURVES:
         return list(traces)
-    return [trace for trace in traces if _kind(trace) != "subset"] or list(traces[:MOST_CURVES])
+    return [trace for trace in traces if not _is_subset(trace)] or list(traces[:MOST_CURVES])
 
 
 def _panels(traces: Sequence[Trace]) -> list[Trace]:
     """Traces whose choice of techniques varies; of many λ an even spread."""
-    varied = [trace for trace in traces if _kind(trace) not in ALWAYS_THE_SAME]
+    varied = [trace for trace in traces if not parse(trace.policy).policy.constant]
     plain = [trace for trace in varied if trace.compute_weight is None]
     swept = [trace for trace in varied if trace.compute_weight is not None]
     room = max(1, MOST_PANELS - len(plain))
@@ -438,5 +394,7 @@ def _trusted(traces: Sequence[Trace]) -> list[Trace]:
     return []
 
 
-def _kind(trace: Trace) -> str:
-    return trace.policy.partition(":")[0]
+def _is_subset(trace: Trace) -> bool:
+    """Whether it is of a fixed subset of several techniques, but not of all."""
+    policy, argument = parse(trace.policy)
+    return policy.colour is None and argument not in trace.techniques

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from amusic_gym.evaluation import metrics
+from amusic_gym.evaluation.tables import Table
 from amusic_gym.policies.trace import Trace
 
 MEASURES = ("frames", "accuracy", "auroc", "brier", "brier_of_accuracy", "calibration_error")
@@ -70,16 +71,7 @@ def table(report: Mapping[str, Any]) -> str:
     """The report of :func:`assess` as text."""
     heads = ["bank", "technique", *(name.replace("_", " ") for name in MEASURES)]
     parts = [*report["techniques"], {"bank": "pooled", "technique": "", **report["pooled"]}]
-    lines = [heads, *(_cells(part) for part in parts)]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(heads))]
-    text = [
-        "  ".join(
-            cell.ljust(width) if i < 2 else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    ]
-    return "\n".join(text)
+    return Table("", heads, [_cells(part) for part in parts], words=2).text()
 
 
 def _cells(part: Mapping[str, Any]) -> list[str]:

@@ -156,19 +156,22 @@ def reselections(trace: Trace) -> int:
     return max(0, int(trace.selections.sum()) - 1)
 
 
-def mean_rows(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Rows averaged over banks, one for each value of `MEAN_KEY`, in the order of the first.
+def mean_rows(
+    rows: Sequence[Mapping[str, Any]], key: Sequence[str] = MEAN_KEY
+) -> list[dict[str, Any]]:
+    """Rows averaged, one for each value of `key`, in the order of the first.
 
-    Every bank weighs the same; `queries` is their total and `bank` is "mean". A `median_error` of
-    None is left out of its mean.
+    Every row weighs the same; `queries` is their total and `bank`, if not in the key, "mean". A
+    `median_error` of None is left out of its mean.
     """
     groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
     for row in rows:
-        key = tuple(row[name] for name in MEAN_KEY)
-        groups.setdefault(key, []).append(row)
+        groups.setdefault(tuple(row[name] for name in key), []).append(row)
     means = []
     for group in groups.values():
-        mean = {**group[0], "bank": "mean", "queries": sum(row["queries"] for row in group)}
+        mean = {**group[0], "queries": sum(row["queries"] for row in group)}
+        if "bank" not in key:
+            mean["bank"] = "mean"
         for name in AVERAGED:
             values = [row[name] for row in group if row[name] is not None]
             mean[name] = float(np.mean(values)) if values else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,21 +16,15 @@ from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.policies.protocol import Correction, Localiser, Policy, Rows, Selector, highest_z
 from amusic_gym.policies.trace import Trace
 
-Progress = Callable[[int], None]
-
-NAVIGATED = {
+INFOS = {
     "predictions": "prediction",
     "confidence": "confidence",
     "similarity": "similarity",
     "p_correct": "p_correct",
     "chosen": "technique",
     "ran": "ran",
-    "late_runs": "late_runs",
-    "selections": "selection",
 }
-"""Argument of `Trace.join` -> attribute of a sighting."""
-
-RECORDED = ("prediction", "confidence", "similarity", "p_correct", "technique", "ran", "idle")
+"""Argument of `Trace.join` -> key of the environment's infos, and attribute of a live frame."""
 
 
 @dataclass(frozen=True)
@@ -104,11 +98,12 @@ def _navigate(
     """Drive along a live route and keep everything but the images."""
     from amusic_gym.live.navigation import navigate
 
-    columns: dict[str, list[Any]] = {key: [] for key in NAVIGATED}
+    attributes = {**INFOS, "late_runs": "late_runs", "selections": "selection"}
+    columns: dict[str, list[Any]] = {column: [] for column in attributes}
     options = how._asdict() if isinstance(policy, Selector) else {}
     for sighting in navigate(policy, route, compute_weight=compute_weight, **options):
-        for key, attribute in NAVIGATED.items():
-            columns[key].append(getattr(sighting, attribute))
+        for column, attribute in attributes.items():
+            columns[column].append(getattr(sighting, attribute))
     estimates = columns.pop("p_correct")
     if isinstance(policy, Selector):
         columns["p_correct"] = estimates
@@ -157,7 +152,9 @@ def _localise(policy: Localiser, bank: ScoreBank, name: str) -> Trace:
     )
 
 
-def _select(policy: Selector, jobs: Sequence[Job], name: str, how: Correction) -> list[Trace]:
+def _select(
+    policy: Selector, jobs: Sequence[Job], policy_name: str, how: Correction
+) -> list[Trace]:
     from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
     needs = policy.needs
@@ -175,58 +172,32 @@ def _select(policy: Selector, jobs: Sequence[Job], name: str, how: Correction) -
     options = {"bank": np.arange(len(jobs)), "start": 0, "compute_weight": weights}
     observation, info = env.reset(options=options)
     policy.reset(np.ones(len(jobs), np.bool_))
-    recorder = _Recorder(jobs)
-    for frame in range(max(job.bank.queries or 0 for job in jobs)):
+    frames: list[dict[str, Any]] = []
+    for _ in range(max(job.bank.queries or 0 for job in jobs)):
         observation, _, _, _, info = env.step(policy.act(observation, info))
-        recorder.record(frame, info)
-    return recorder.traces(name, how)
-
-
-class _Recorder:
-    """Collects what the infos say, frame by frame."""
-
-    def __init__(self, jobs: Sequence[Job]) -> None:
-        self.jobs = jobs
-        self.frames: list[Mapping[str, Any]] = []
-
-    def record(self, frame: int, info: Mapping[str, Any]) -> None:
-        kept = {key: info[key] for key in RECORDED}
-        if "selection" in info:
-            kept["late_runs"] = info["selection"]["late_runs"]
-            kept["happened"] = info["selection"]["happened"]
-        self.frames.append(kept)
-
-    def _column(self, key: str, i: int) -> NDArray[Any] | None:
-        if key not in self.frames[0]:
-            return None
-        return np.stack([frame[key][i] for frame in self.frames[: self.jobs[i].bank.queries]])
-
-    def traces(self, name: str, how: Correction) -> list[Trace]:
-        return [self._trace(i, name, how) for i in range(len(self.jobs))]
-
-    def _trace(self, i: int, name: str, how: Correction) -> Trace:
-        job = self.jobs[i]
-        techniques = len(job.bank.techniques)
-        late = self._column("late_runs", i)
-        ran = self._column("ran", i)
-        prediction, confidence = self._column("prediction", i), self._column("confidence", i)
-        similarity = self._column("similarity", i)
-        assert ran is not None
-        assert prediction is not None
-        assert confidence is not None
-        assert similarity is not None
-        return Trace.join(
-            job.bank,
-            predictions=prediction,
-            confidence=confidence,
-            similarity=similarity,
-            p_correct=self._column("p_correct", i),
-            chosen=self._column("technique", i),
-            ran=ran[:, :techniques],
-            late_runs=None if late is None else late[:, :techniques],
-            selections=self._column("happened", i),
-            policy=name,
-            statistic=how.statistic,
-            carry=how.carry,
-            compute_weight=job.compute_weight,
+        frames.append(_done(info))
+    columns = {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
+    traces = []
+    for i, job in enumerate(jobs):
+        own = {name: column[: job.bank.queries, i] for name, column in columns.items()}
+        for name in own.keys() & {"ran", "late_runs"}:
+            own[name] = own[name][:, : len(job.bank.techniques)]
+        traces.append(
+            Trace.join(
+                job.bank,
+                policy=policy_name,
+                statistic=how.statistic,
+                carry=how.carry,
+                compute_weight=job.compute_weight,
+                **own,
+            )
         )
+    return traces
+
+
+def _done(info: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """What was done on one frame of every route (N, ...), by argument of `Trace.join`."""
+    done = {name: info[key] for name, key in INFOS.items()}
+    if selection := info.get("selection"):
+        done |= {"late_runs": selection["late_runs"], "selections": selection["happened"]}
+    return done

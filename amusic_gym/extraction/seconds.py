@@ -55,7 +55,7 @@ class Cost(NamedTuple):
         if self.spread > STEADY and self.seconds >= SHORTEST:
             warnings.warn(
                 f"technique {technique!r} took {self}; measure again on an idle machine"
-                " (bank.py --measure-again), or give its seconds",
+                " (--measure-again), or give its seconds",
                 stacklevel=3,
             )
 

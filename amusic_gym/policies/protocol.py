@@ -149,6 +149,8 @@ class Context:
         route: the bank or live route.
         carry: whether places are carried on as candidates; None: as the statistic has it.
         discount: whether MuSIC discounts alike rows; None: as the statistic has it.
+        insists: whether the user insists on the statistic: a selector trained with another is
+            refused then, and else brings its own.
     """
 
     techniques: tuple[str, ...]
@@ -158,6 +160,7 @@ class Context:
     route: ScoreBank | LiveRoute
     carry: bool | None = None
     discount: bool | None = None
+    insists: bool = False
 
     @classmethod
     def of(

@@ -34,6 +34,12 @@ CSV_COLUMNS = (
     "late_runs",
 )
 
+DONE = (
+    *("predictions", "confidence", "similarity", "p_correct", "chosen", "ran", "late_runs"),
+    "selections",
+)
+"""What a policy did: with it :meth:`Trace.join` makes the trace again."""
+
 
 @dataclass(frozen=True, eq=False)
 class Trace:

@@ -35,27 +35,16 @@ CONVOLUTIONS = ("conv1", "conv2", "conv3")
 
 @dataclass(frozen=True)
 class Settings:
-    """Everything the trained weights depend on, besides the code.
+    """Everything the trained weights depend on, besides the code."""
 
-    Attributes:
-        seed: of all draws.
-        steps: batches.
-        pictures: in a batch.
-        rate: highest learning rate.
-        collages: share of collages among the pictures; the others are rendered.
-        warp: how far each corner moves at most, of half the picture's width and height.
-        pool: what is rendered to learn from.
-        held_out: what is rendered to validate on.
-    """
-
-    seed: int = 0
-    steps: int = 300
-    pictures: int = 32
-    rate: float = 2e-3
-    collages: float = 0.4
-    warp: float = 0.1
-    pool: PoolSize = PoolSize()
-    held_out: PoolSize = PoolSize(worlds=6)
+    seed: int = 0  # of all draws
+    steps: int = 300  # batches
+    pictures: int = 32  # in a batch
+    rate: float = 2e-3  # highest learning rate
+    collages: float = 0.4  # share of collages among the pictures; the others are rendered
+    warp: float = 0.1  # how far each corner moves at most, of half the picture's width and height
+    pool: PoolSize = PoolSize()  # what is rendered to learn from
+    held_out: PoolSize = PoolSize(worlds=6)  # and to validate on
 
 
 class AutoEncoder(nn.Module):

@@ -18,16 +18,10 @@ Floats = NDArray[np.float32]
 
 WIDTH, HEIGHT = 160, 120
 CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
-
-
-def _grid() -> Floats:
-    """(HEIGHT, WIDTH, 2) coordinates of the pixels, -1 to 1 both ways."""
-    across = np.linspace(-1, 1, WIDTH, dtype=np.float32)
-    down = np.linspace(-1, 1, HEIGHT, dtype=np.float32)
-    return np.stack(np.meshgrid(across, down), axis=2)
-
-
-GRID = _grid()
+GRID = np.stack(
+    np.meshgrid(*(np.linspace(-1, 1, size, dtype=np.float32) for size in (WIDTH, HEIGHT))), axis=2
+)
+"""(HEIGHT, WIDTH, 2) coordinates of the pixels, -1 to 1 both ways."""
 FROM_MIDDLE = np.minimum((GRID**2).sum(axis=2) / 2, 1)
 GRAIN = np.random.default_rng(7).standard_normal(1_000_000, np.float32)
 """Noise to take pieces of: quicker than to draw it for each image."""
@@ -35,33 +29,19 @@ GRAIN = np.random.default_rng(7).standard_normal(1_000_000, np.float32)
 
 @dataclass(frozen=True)
 class Camera:
-    """What all images of a traverse share.
+    """What all images of a traverse share."""
 
-    Attributes:
-        bend: radial distortion; above 0 a fish-eye's.
-        corners: (4, 2) what it sees of a picture, as :func:`warp` takes it.
-        gains: (3,) factor of each channel.
-        colour: 0 grey, 1 as rendered.
-        gamma: exponent of the tone curve.
-        contrast: factor around the middle grey.
-        light: added to all values, of 255.
-        vignette: how much darker the corners are, 0 to 1.
-        blur: standard deviation in pixels; 0 none.
-        rows: rows that a coarse sensor has; the image is HEIGHT high again after it.
-        noise: standard deviation of each value, of 255.
-    """
-
-    bend: float
-    corners: Floats
-    gains: tuple[float, float, float]
-    colour: float
-    gamma: float
-    contrast: float
-    light: float
-    vignette: float
-    blur: float
-    rows: int
-    noise: float
+    bend: float  # radial distortion; above 0 a fish-eye's
+    corners: Floats  # (4, 2) what it sees of a picture, as `warp` takes it
+    gains: tuple[float, float, float]  # factor of each channel
+    colour: float  # 0 grey, 1 as rendered
+    gamma: float  # exponent of the tone curve
+    contrast: float  # factor around the middle grey
+    light: float  # added to all values, of 255
+    vignette: float  # how much darker the corners are, 0 to 1
+    blur: float  # standard deviation in pixels; 0 none
+    rows: int  # of a coarse sensor; the image is HEIGHT high again after it
+    noise: float  # standard deviation of each value, of 255
 
 
 def warp(image: Image, corners: Floats, bend: float = 0.0) -> Image:
@@ -95,10 +75,8 @@ def seen_corners(rng: np.random.Generator, zoom: float, jitter: float) -> Floats
     ways (of half the width or height).
     """
     middle = rng.uniform(zoom - 1, 1 - zoom, 2)
-    corners: Floats = (CORNERS * zoom + middle + rng.uniform(-jitter, jitter, (4, 2))).astype(
-        np.float32
-    )
-    return corners
+    corners = CORNERS * zoom + middle + rng.uniform(-jitter, jitter, (4, 2))
+    return np.asarray(corners, np.float32)
 
 
 def draw_camera(rng: np.random.Generator) -> Camera:
@@ -143,8 +121,7 @@ def tone_curve(camera: Camera, light: float) -> Image:
     """(256,) what a camera makes of each value; ``light`` is this frame's own."""
     values = 255 * (np.arange(256) / 255) ** camera.gamma
     values = (values - 128) * camera.contrast + 128 + camera.light + light
-    curve: Image = np.clip(values, 0, 255).astype(np.uint8)
-    return curve
+    return np.clip(values, 0, 255).astype(np.uint8)
 
 
 def photograph(

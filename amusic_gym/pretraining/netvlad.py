@@ -46,38 +46,21 @@ with descriptors of many more values)."""
 
 @dataclass(frozen=True)
 class Settings:
-    """Everything the trained weights depend on, besides the code.
+    """Everything the trained weights depend on, besides the code."""
 
-    Attributes:
-        seed: of all draws.
-        point_steps: steps of the first stage.
-        place_steps: steps of the second.
-        pictures: pairs of pictures in a step of the first stage.
-        points: in each of them.
-        worlds: in a step of the second stage.
-        places: of each of them.
-        point_rate: highest learning rate of the first stage.
-        place_rate: and of the second.
-        collages: share of collages among the first stage's pictures.
-        samples: images that the whitening is fitted on.
-        pool: what is rendered to learn from.
-        widths: the network.
-        preparation: its input.
-    """
-
-    seed: int = 0
-    point_steps: int = 500
-    place_steps: int = 150
-    pictures: int = 16
-    points: int = 64
-    worlds: int = 2
-    places: int = 16
-    point_rate: float = 3e-3
-    place_rate: float = 5e-4
-    collages: float = 0.4
-    samples: int = 2048
-    pool: PoolSize = PoolSize()
-    held_out: PoolSize = PoolSize(worlds=6)
+    seed: int = 0  # of all draws
+    point_steps: int = 500  # of the first stage
+    place_steps: int = 150  # of the second
+    pictures: int = 16  # pairs of pictures in a step of the first stage
+    points: int = 64  # in each of them
+    worlds: int = 2  # in a step of the second stage
+    places: int = 16  # of each of them
+    point_rate: float = 3e-3  # highest learning rate of the first stage
+    place_rate: float = 5e-4  # and of the second
+    collages: float = 0.4  # share of collages among the first stage's pictures
+    samples: int = 2048  # images that the whitening is fitted on
+    pool: PoolSize = PoolSize()  # what is rendered to learn from
+    held_out: PoolSize = PoolSize(worlds=6)  # and to validate on
     widths: NetVLADWidths = field(
         default_factory=lambda: NetVLADWidths(
             stages=((16,), (32,), (64,), (96, 96)), clusters=16, whitened=256

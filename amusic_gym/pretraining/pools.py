@@ -31,26 +31,17 @@ LINE = "shift"
 
 @dataclass(frozen=True)
 class PoolSize:
-    """How much is rendered.
+    """How much is rendered."""
 
-    Attributes:
-        worlds: how many; street, rail and corridor in turn.
-        places: of each, one after another.
-    """
-
-    worlds: int = 24
-    places: int = 32
+    worlds: int = 24  # street, rail and corridor in turn
+    places: int = 32  # of each, one after another
 
 
 @dataclass(frozen=True)
 class Pool:
-    """Rendered images.
+    """Rendered images."""
 
-    Attributes:
-        images: (worlds, places, DRIVES, SIGHTS, HEIGHT, WIDTH, 3) uint8, blue-green-red.
-    """
-
-    images: NDArray[np.uint8]
+    images: NDArray[np.uint8]  # (worlds, places, DRIVES, SIGHTS, HEIGHT, WIDTH, 3), BGR
 
     @property
     def worlds(self) -> int:
@@ -94,9 +85,7 @@ def make_pool(
     about = {"pool": json.dumps([asdict(size), seed, renderer_digest()])}
     if keep is not None and (kept := _kept(keep, about)) is not None:
         return Pool(kept)
-    images = np.empty(
-        (size.worlds, size.places, DRIVES, SIGHTS, HEIGHT, WIDTH, 3), np.uint8
-    )  # fmt: skip
+    images = np.empty((size.worlds, size.places, DRIVES, SIGHTS, HEIGHT, WIDTH, 3), np.uint8)
     with tqdm(total=size.worlds * DRIVES * SIGHTS, desc="rendering", disable=not progress) as bar:
         for number in range(size.worlds):
             _render_world(images[number], number, seed, bar)

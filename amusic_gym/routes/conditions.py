@@ -36,7 +36,7 @@ _Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class _Chance:
-    """What a condition draws from: one generator for the frame, one for the whole drive."""
+    """The random generators of a condition: one for the frame, one for the whole drive."""
 
     frame: np.random.Generator
     drive: np.random.Generator
@@ -230,7 +230,7 @@ def _strength(part: str, number: str) -> float:
 
 @dataclass(frozen=True)
 class Change:
-    """What is done to one image of a traverse; it pickles, and its text says all it depends on.
+    """A condition applied to one image of a traverse; its text names all that it depends on.
 
     Attributes:
         condition: not plain.

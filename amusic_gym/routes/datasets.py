@@ -172,7 +172,7 @@ def load_dataset(
 
 
 def _needs(name: str, root: str | os.PathLike[str], images: int) -> str:
-    """What a data set must look like, and where it is from."""
+    """The layout of a data set, and its source."""
     dataset = DATASETS[name]
     reference, query = (" + ".join(side) for side in (dataset.reference, dataset.query))
     return (

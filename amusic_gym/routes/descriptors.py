@@ -1,4 +1,4 @@
-"""From what a robot meets on its way to the scores of one technique, by way of descriptors."""
+"""Descriptors of a simulated route's places and frames, and the scores of one technique."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the bytes of an image file say before they are decoded: its kind, its size, its end.
+"""Kind, size and end of an image file, from its bytes, before it is decoded.
 
 Decoders are lenient: OpenCV gives a grey rest where the end of a JPEG is missing or full of zeros,
 and any decoder first allocates what the header asks for. So both are looked at here, from the bytes

@@ -97,7 +97,7 @@ def save_retimed(
 
     Args:
         bank: the recording; memory-mapped, it may be larger than memory.
-        seed: whole number >= 0.
+        seed: as for :func:`retime`; so is ``motion``.
         path: the folder to make; a bank that is there is replaced.
         motion: ``paced`` or ``kidnapped``.
         name: what to call the new bank; by default, the recording's name, the motion and the seed.
@@ -106,8 +106,7 @@ def save_retimed(
         The folder's absolute path.
 
     Raises:
-        ValueError: for another seed or motion, a score that is not finite, or a ``path`` that is
-            something other than a bank, or the very bank that is read.
+        ValueError: as :func:`retime` and `ScoreBank.save`; for the very bank that is read.
         OSError: when writing fails; what was at ``path`` is still there then.
     """
     path = Path(path)
@@ -143,15 +142,7 @@ def _retimed(
 
 
 def retimed_truth(truth: GroundTruth, frames: NDArray[np.int64]) -> GroundTruth:
-    """The true places of ``frames``, in their order.
-
-    Args:
-        truth: Q queries.
-        frames: (n,) int64 in [0, Q), any of them any number of times.
-
-    Returns:
-        Ground truth of n queries on the same map.
-    """
+    """Ground truth of ``frames`` (n,) int64 in [0, Q), in their order and as often as they come."""
     begin, count = truth.indptr[frames], np.diff(truth.indptr)[frames]  # (n,) each
     indptr = np.concatenate([[0], np.cumsum(count)])
     within = np.arange(indptr[-1]) - np.repeat(indptr[:-1], count)

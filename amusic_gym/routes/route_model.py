@@ -1,4 +1,4 @@
-"""What all techniques share on a simulated route: the drive, the conditions, the map's traps."""
+"""The model of a simulated route: the drive, the conditions, repeated and bland places, decoys."""
 
 from __future__ import annotations
 

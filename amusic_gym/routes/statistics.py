@@ -1,4 +1,4 @@
-"""What a score matrix looks like, in numbers that simulated and real recordings share."""
+"""Statistics of a score matrix, to compare simulated routes with real recordings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Code that is not ours: told apart by where it lies, and what it raises said in one line."""
+"""Users' own code: recognised by its place, its errors reported in one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a visual place recognition technique is: images to descriptors, descriptors to scores."""
+"""The protocol of a visual place recognition technique: describe images, match descriptors."""
 
 from __future__ import annotations
 

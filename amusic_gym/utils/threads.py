@@ -22,7 +22,7 @@ R = TypeVar("R")
 
 
 class _Limits:
-    """What is limited now in this process, and how to undo it."""
+    """The limits in force in this process, and how to undo them."""
 
     def __init__(self) -> None:
         self.lock = threading.RLock()

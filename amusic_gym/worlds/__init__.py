@@ -14,8 +14,8 @@ from __future__ import annotations
 from amusic_gym.worlds.conditions import CONDITIONS, NAMES, REFERENCE
 from amusic_gym.worlds.files import render_folders
 from amusic_gym.worlds.film import Image
-from amusic_gym.worlds.views import SIZE, SPACING, render, traverse
-from amusic_gym.worlds.world import KINDS, Kind, World
+from amusic_gym.worlds.views import SIZE, render, traverse
+from amusic_gym.worlds.world import KINDS, SPACING, Kind, World
 
 __all__ = [
     "CONDITIONS",

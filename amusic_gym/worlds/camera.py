@@ -53,7 +53,7 @@ def aim(
 ) -> Camera:
     """The camera of a frame: it sways a little, differently in every drive."""
     rng = generator(world.seed, "sway", run, frame)
-    width = {"street": 1.0, "rail": 0.12, "corridor": 0.55}[world.kind]
+    width = world.route.SWAY
     drift = 0.1 * np.sin(along / 37.0 + 2.1 * run) + 0.04 * rng.normal()
     turn = 0.004 * np.sin(along / 23.0 + 1.3 * run) + 0.003 * rng.normal()
     return Camera(
@@ -61,6 +61,6 @@ def aim(
         right=(look.shift + look.sway * drift) * width,
         yaw=look.yaw + look.sway * turn,
         pitch=look.sway * 0.004 * rng.normal(),
-        height=world.eye,
+        height=world.route.EYE,
         size=size,
     )

@@ -12,57 +12,31 @@ from amusic_gym.worlds.paint import Colour
 
 @dataclass(frozen=True)
 class Look:
-    """All that a drive has of its own; the defaults are a bright day.
+    """All that a drive has of its own; the defaults are a bright day."""
 
-    Attributes:
-        season: "summer", "autumn" or "winter".
-        sun: how much brighter a sunlit side is than a shaded one, 0-1.
-        side: where the sun stands, -1 left to 1 right.
-        shadow: how dark shadows on the ground are, 0-1.
-        ambient: light from everywhere (blue, green, red).
-        glow: brightness of lamps and lit windows.
-        lamps: brightness of the pools of light under lamps.
-        beam: the vehicle's headlights.
-        fog: density in 1/metre.
-        haze: colour of fog and of distance.
-        cover: clouds, 0-1.
-        zenith: colour of the sky above.
-        horizon: and at the horizon.
-        shift: metres the camera drives to the right of the reference's line.
-        yaw: radians it looks to the right.
-        sway: how far the camera strays from its line, 1 as on the map's drive.
-        crowd: people and cars on the move, 0 none to 1 many.
-        rain: streaks and drops, 0-1.
-        snow: falling flakes, 0-1.
-        glare: of a low sun ahead, 0-1.
-        wet: mirroring ground, 0-1.
-        noise: of the sensor, grey levels.
-        blur: of the lens, pixels at 320 columns.
-    """
-
-    season: str = "summer"
-    sun: float = 0.25
-    side: float = 0.5
-    shadow: float = 0.3
-    ambient: Colour = (1.0, 1.0, 1.0)
-    glow: float = 0.0
-    lamps: float = 0.0
-    beam: float = 0.0
-    fog: float = 0.0016
-    haze: Colour = (205, 200, 192)
-    cover: float = 0.5
-    zenith: Colour = (205, 150, 105)
-    horizon: Colour = (225, 215, 200)
-    shift: float = 0.0
-    yaw: float = 0.0
-    sway: float = 1.0
-    crowd: float = 0.0
-    rain: float = 0.0
-    snow: float = 0.0
-    glare: float = 0.0
-    wet: float = 0.0
-    noise: float = 1.5
-    blur: float = 0.0
+    season: str = "summer"  # "summer", "autumn" or "winter"
+    sun: float = 0.25  # how much brighter a sunlit side is than a shaded one, 0-1
+    side: float = 0.5  # where the sun stands, -1 left to 1 right
+    shadow: float = 0.3  # how dark shadows on the ground are, 0-1
+    ambient: Colour = (1.0, 1.0, 1.0)  # light from everywhere (blue, green, red)
+    glow: float = 0.0  # brightness of lamps and lit windows
+    lamps: float = 0.0  # brightness of the pools of light under lamps
+    beam: float = 0.0  # the vehicle's headlights
+    fog: float = 0.0016  # density in 1/metre
+    haze: Colour = (205, 200, 192)  # colour of fog and of distance
+    cover: float = 0.5  # clouds, 0-1
+    zenith: Colour = (205, 150, 105)  # colour of the sky above
+    horizon: Colour = (225, 215, 200)  # and at the horizon
+    shift: float = 0.0  # metres the camera drives to the right of the reference's line
+    yaw: float = 0.0  # radians it looks to the right
+    sway: float = 1.0  # how far the camera strays from its line, 1 as on the map's drive
+    crowd: float = 0.0  # people and cars on the move, 0 none to 1 many
+    rain: float = 0.0  # streaks and drops, 0-1
+    snow: float = 0.0  # falling flakes, 0-1
+    glare: float = 0.0  # of a low sun ahead, 0-1
+    wet: float = 0.0  # mirroring ground, 0-1
+    noise: float = 1.5  # of the sensor, grey levels
+    blur: float = 0.0  # of the lens, pixels at 320 columns
 
 
 GREY: dict[str, Any] = {"zenith": (190, 180, 172), "horizon": (205, 202, 200)}

@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
+from amusic_gym.worlds import ground
 from amusic_gym.worlds.facades import SIGNS, lettering
-from amusic_gym.worlds.ground import BLOCK
+from amusic_gym.worlds.ground import BLOCK, Plan
 from amusic_gym.worlds.layout import Block
 from amusic_gym.worlds.noise import Generator, generator, patch
 from amusic_gym.worlds.paint import Colour, Paint, dim, pick, vary
+
+SPACING = 0.8
+EYE = 1.35
+SWAY = 0.55
+BENDS = ((1.2, 95.0), (0.35, 47.0))
 
 HIGH = 2.9
 WALLS = ((205, 210, 212), (190, 205, 215), (185, 195, 180), (170, 150, 60), (150, 165, 120),
          (120, 150, 190), (175, 180, 185))  # fmt: skip
 DOORS = ((140, 150, 60), (60, 90, 140), (90, 100, 110), (150, 90, 40), (60, 70, 160), (45, 60, 80),
          (190, 195, 195))  # fmt: skip
+BAYS = ("wall", "door", "door", "glass", "lockers", "wall", "double")
+SWITCHES = ((220, 222, 225), (60, 60, 190), (70, 150, 60), (80, 80, 80))
 
 
 def half_width(seed: int, block: int) -> float:
@@ -22,9 +30,14 @@ def half_width(seed: int, block: int) -> float:
     return float(generator(seed, "width", block // 3).choice([1.1, 1.35, 1.7, 2.3]))
 
 
+def plan(seed: int, number: int, season: str) -> Plan:
+    """The floor of a block."""
+    return ground.floor(seed, number)
+
+
 def build(seed: int, number: int) -> Block:
     """Block ``number`` of a corridor."""
-    block = Block(number * BLOCK)
+    block = Block(seed, number * BLOCK)
     half = half_width(seed, number)
     before = half_width(seed, number - 1)
     if before > half:
@@ -32,69 +45,51 @@ def build(seed: int, number: int) -> Block:
             a, b = sorted((side * half, side * before))
             block.front(a, b, 0, HIGH, ("plain", number, b - a, HIGH))
     for side in (-1, 1):
-        rng = generator(seed, "corridor", number, side)
+        rng = block.draw("corridor", number, side)
         s = 0.0
         while s < BLOCK - 0.05:
             long = min(float(rng.choice([2.0, 3.0, 4.0])), BLOCK - s)
-            bay(block, rng, seed, number, side, half, s, long)
+            bay(block, rng, side, half, s, long)
             s += long
         clutter(block, rng, side, half)
-    rng = generator(seed, "overhead", number)
+    rng = block.draw("overhead", number)
     for _ in range(int(rng.poisson(1.0))):
-        s = rng.uniform(1, BLOCK - 1)
-        block.plane(
-            (-0.6, HIGH - 0.45, s),
-            (1.2, 0, 0),
-            (0, 0.35, 0),
-            ("board", int(rng.integers(60)), 1.2, 0.35, 160),
-        )
+        s, board = rng.uniform(1, BLOCK - 1), ("board", int(rng.integers(60)), 1.2, 0.35, 160)
+        block.plane((-0.6, HIGH - 0.45, s), (1.2, 0, 0), (0, 0.35, 0), board)
     if rng.random() < 0.3:  # a door frame across
-        frame(block, seed, number, half, rng.uniform(2, BLOCK - 2))
+        frame(block, half, rng.uniform(2, BLOCK - 2))
     for s in (3.0, 11.0, 19.0):
         block.lamps.append((0.0, HIGH - 0.2, s))
     return block
 
 
-def bay(
-    block: Block,
-    rng: Generator,
-    seed: int,
-    number: int,
-    side: int,
-    half: float,
-    s: float,
-    long: float,
-) -> None:
+def bay(block: Block, rng: Generator, side: int, half: float, s: float, long: float) -> None:
     """A few metres of wall: plain, doors, glass, lockers, or an opening."""
-    what = rng.random()
-    repeat = generator(seed, "bays", number // 3).random() < 0.4
-    identity = (
-        int(rng.integers(6)) if repeat else number * 100 + int(s * 4) + (50 if side > 0 else 0)
-    )
-    stretch = number // 3
-    x = side * half
+    what, stretch = rng.random(), block.number // 3
+    identity = block.number * 100 + int(s * 4) + (50 if side > 0 else 0)
+    if block.draw("bays", stretch).random() < 0.4:  # bays repeat
+        identity = int(rng.integers(6))
+    x, kind = side * half, "wall"
     if what < 0.12 and long >= 2:  # a cross passage or alcove
         deep = float(rng.choice([0.8, 1.5, 6.0]))
-        a, b = sorted((x, x + side * deep))
-        block.front(a, b, s + long, HIGH, ("plain", identity, deep, HIGH, stretch))
-        block.wall(x + side * deep, s, s + long, HIGH, ("bay", identity, stretch, long, "wall"))
-        return
-    if what < 0.2:  # a pillar or shaft that stands out
-        a, b = sorted((x, x - side * 0.3))
-        block.front(a, b, s, HIGH, ("plain", identity, 0.3, HIGH, stretch))
-        block.wall(x - side * 0.3, s, s + long, HIGH, ("bay", identity, stretch, long, "wall"))
-        return
-    kind = ("wall", "door", "door", "glass", "lockers", "wall", "double")[int(rng.integers(7))]
+        x += side * deep
+        block.front(side * half, x, s + long, HIGH, ("plain", identity, deep, HIGH, stretch))
+    elif what < 0.2:  # a pillar or shaft that stands out
+        x -= side * 0.3
+        block.front(side * half, x, s, HIGH, ("plain", identity, 0.3, HIGH, stretch))
+    else:
+        kind = BAYS[int(rng.integers(len(BAYS)))]
     block.wall(x, s, s + long, HIGH, ("bay", identity, stretch, long, kind))
 
 
-def frame(block: Block, seed: int, number: int, half: float, s: float) -> None:
+def frame(block: Block, half: float, s: float) -> None:
     """A fire door standing open: posts and a lintel across the corridor."""
+    number, stretch = block.number, block.number // 3
     for a, b in ((-half, -half + 0.3), (half - 0.3, half)):
-        block.front(a, b, s, HIGH, ("plain", number, 0.3, HIGH, number // 3))
-    block.front(-half, half, s, 0.6, ("plain", number, 2 * half, 0.6, number // 3), base=HIGH - 0.6)
-    leaf = ("bay", number, number // 3, 1.0, "door")
-    block.wall(half - 0.25, s + 0.1, s + 1.1, 2.1, leaf)
+        block.front(a, b, s, HIGH, ("plain", number, 0.3, HIGH, stretch))
+    lintel = ("plain", number, 2 * half, 0.6, stretch)
+    block.front(-half, half, s, 0.6, lintel, base=HIGH - 0.6)
+    block.wall(half - 0.25, s + 0.1, s + 1.1, 2.1, ("bay", number, stretch, 1.0, "door"))
 
 
 def clutter(block: Block, rng: Generator, side: int, half: float) -> None:
@@ -103,11 +98,9 @@ def clutter(block: Block, rng: Generator, side: int, half: float) -> None:
         s, what = rng.uniform(0, BLOCK - 1.5), int(rng.integers(6))
         x = side * (half - 0.25)
         if what == 0:
-            high = float(rng.choice([0.9, 1.4, 1.9]))
-            key = ("cabinet", int(rng.integers(20)), 1.2, high)
-            block.wall(side * (half - 0.45), s, s + 1.2, high, key)
-            a, b = sorted((side * half, side * (half - 0.45)))
-            block.front(a, b, s, high, ("cabinet", int(rng.integers(20)), 0.45, high))
+            high, x = float(rng.choice([0.9, 1.4, 1.9])), side * (half - 0.45)
+            block.wall(x, s, s + 1.2, high, ("cabinet", int(rng.integers(20)), 1.2, high))
+            block.front(side * half, x, s, high, ("cabinet", int(rng.integers(20)), 0.45, high))
         elif what == 1:
             block.sprite(x, s, 0.7, 1.5, ("plant", int(rng.integers(8))), reach=40)
         elif what == 2:
@@ -122,17 +115,16 @@ def clutter(block: Block, rng: Generator, side: int, half: float) -> None:
 
 def moving(seed: int, run: int, frame: int, start: float, amount: float) -> Block:
     """People around a camera at ``start``."""
-    block = Block(start)
+    block = Block(seed, start)
     rng = generator(seed, "moving", run, frame)
     for _ in range(int(rng.poisson(4.5 * amount))):
-        x = rng.uniform(-1, 1)
-        block.sprite(x, rng.uniform(1.4, 14), 0.9, 1.9, ("person", int(rng.integers(40))), reach=60)
+        x, s, key = rng.uniform(-1, 1), rng.uniform(1.4, 14), ("person", int(rng.integers(40)))
+        block.sprite(x, s, 0.9, 1.9, key, reach=60)
     return block
 
 
 def bay_paint(seed: int, season: str, number: int, stretch: int, long: float, kind: str) -> Paint:
     """The face of a bay ``long`` metres long."""
-    del season
     look = generator(seed, "walls", stretch)
     rng = generator(seed, "bay", number)
     wall, door = pick(look, WALLS), pick(look, DOORS)
@@ -146,23 +138,12 @@ def bay_paint(seed: int, season: str, number: int, stretch: int, long: float, ki
     if rail_height:
         paint.box(0, 0, long, rail_height, lower)
         paint.box(0, rail_height, long, rail_height + 0.1, dim(lower, 0.6))
-    {"wall": _pictures, "door": _door, "double": _double, "glass": _glass, "lockers": _lockers}[
-        kind
-    ](paint, rng, long, door)
+    FACES[kind](paint, rng, long, door)
     paint.box(0, 0, long, 0.11, vary(look, (60, 62, 65), 25))
     for _ in range(int(rng.integers(0, 4))):  # switches, sockets, detectors, exit signs
-        x, y, size = (
-            rng.uniform(0.1, long - 0.2),
-            rng.choice([0.3, 1.1, 2.3, 2.6]),
-            rng.uniform(0.06, 0.2),
-        )
-        paint.box(
-            x,
-            y,
-            x + size,
-            y + size,
-            pick(rng, ((220, 222, 225), (60, 60, 190), (70, 150, 60), (80, 80, 80))),
-        )
+        x, y = rng.uniform(0.1, long - 0.2), rng.choice([0.3, 1.1, 2.3, 2.6])
+        size = rng.uniform(0.06, 0.2)
+        paint.box(x, y, x + size, y + size, pick(rng, SWITCHES))
     if rng.random() < 0.3:
         x = rng.uniform(0.1, long - 0.3)
         paint.disk(x + 0.1, 1.1, 0.09, 0.28, (35, 35, 190))
@@ -203,24 +184,14 @@ def _glass(paint: Paint, rng: Generator, long: float, door: Colour) -> None:
     paint.box(0.22, low + 0.07, long - 0.22, 2.33, tint, 200 if outside else 60)
     if outside:
         for _ in range(40):
-            paint.disk(
-                rng.uniform(0.25, long - 0.25),
-                rng.uniform(low + 0.1, 1.6),
-                0.12,
-                0.1,
-                vary(rng, (70, 120, 90), 30),
-                120,
-            )
+            x, y = rng.uniform(0.25, long - 0.25), rng.uniform(low + 0.1, 1.6)
+            paint.disk(x, y, 0.12, 0.1, vary(rng, (70, 120, 90), 30), 120)
     else:
         for _ in range(int(rng.integers(6, 16))):
             x, y = rng.uniform(0.25, long - 0.6), rng.uniform(low + 0.08, 1.9)
-            paint.box(
-                x,
-                y,
-                min(long - 0.25, x + rng.uniform(0.1, 0.6)),
-                min(2.3, y + rng.uniform(0.05, 0.6)),
-                pick(rng, (*SIGNS, (150, 150, 150), (60, 60, 60))),
-            )
+            end = min(long - 0.25, x + rng.uniform(0.1, 0.6))
+            top = min(2.3, y + rng.uniform(0.05, 0.6))
+            paint.box(x, y, end, top, pick(rng, (*SIGNS, (150, 150, 150), (60, 60, 60))))
     for x in np.arange(0.22, long - 0.2, float(rng.choice([0.8, 1.2]))):
         paint.box(x - 0.03, low, x + 0.03, 2.4, door)
 
@@ -246,22 +217,22 @@ def _pictures(paint: Paint, rng: Generator, long: float, door: Colour) -> None:
             level = y + high * (0.1 + 0.14 * row)
             lettering(paint, rng, x + 0.03, level, wide - 0.06, 0.1 * high, sheet)
         if rng.random() < 0.6:
-            paint.box(
-                x + 0.1 * wide, y + 0.55 * high, x + 0.9 * wide, y + 0.9 * high, pick(rng, SIGNS)
-            )
+            left, right = x + 0.1 * wide, x + 0.9 * wide
+            paint.box(left, y + 0.55 * high, right, y + 0.9 * high, pick(rng, SIGNS))
+
+
+FACES = {
+    "wall": _pictures, "door": _door, "double": _double, "glass": _glass, "lockers": _lockers,
+}  # fmt: skip
+"""What is on a bay's wall, by its kind."""
 
 
 def plain_paint(
     seed: int, season: str, number: int, wide: float, high: float, stretch: int = 0
 ) -> Paint:
     """A bare piece of wall."""
-    del season
-    look = generator(seed, "walls", stretch)
-    paint = Paint(
-        max(0.1, wide),
-        high,
-        vary(generator(seed, "plain", number), pick(look, WALLS), 8),
-        texels=30,
-    )
+    wall = pick(generator(seed, "walls", stretch), WALLS)
+    tone = vary(generator(seed, "plain", number), wall, 8)
+    paint = Paint(max(0.1, wide), high, tone, texels=30)
     paint.shade(patch(generator(seed, "plain", number), paint.rows, paint.columns, 1.0), 0.05)
     return paint

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 import cv2
 import numpy as np
 
-from amusic_gym.worlds import corridor, ground, railway, traffic
+from amusic_gym.worlds import corridor, ground
 from amusic_gym.worlds.camera import Camera
 from amusic_gym.worlds.conditions import Look
 from amusic_gym.worlds.film import Image, develop
 from amusic_gym.worlds.ground import ACROSS, ALONG, BLOCK, HALF
-from amusic_gym.worlds.layout import Arrays
+from amusic_gym.worlds.layout import Things
 from amusic_gym.worlds.light import light
 from amusic_gym.worlds.noise import Floats, generator
 from amusic_gym.worlds.raster import draw_level, draw_plane
 from amusic_gym.worlds.sky import RISE, ROUND
 from amusic_gym.worlds.world import World
-
-MOVING = {"street": traffic.moving, "rail": railway.moving, "corridor": corridor.moving}
 
 
 def draw(world: World, camera: Camera, look: Look, run: int, frame: int) -> Image:
@@ -46,8 +43,8 @@ def draw(world: World, camera: Camera, look: Look, run: int, frame: int) -> Imag
     things = world.things(first, run)
     _planes(canvas, inverse_depth, world, camera, look, things)
     if look.crowd > 0:
-        crowd = MOVING[world.kind](world.seed, run, frame, camera.along, look.crowd)
-        _planes(canvas, inverse_depth, world, camera, look, crowd.arrays())
+        crowd = world.route.moving(world.seed, run, frame, camera.along, look.crowd)
+        _planes(canvas, inverse_depth, world, camera, look, Things.of(crowd))
     lamps = _lamps(world, camera, look, things)
     fog = np.array([look.fog, *look.haze], np.float32)
     ambient = np.array(look.ambient, np.float32)
@@ -75,40 +72,25 @@ def indoors(look: Look) -> Look:
     )
 
 
-@lru_cache(maxsize=1)
-def _detail() -> Floats:
-    return ground.detail()
-
-
-@lru_cache(maxsize=1)
-def _smooth() -> Floats:
-    return np.ascontiguousarray(1 + 0.25 * (ground.detail() - 1))
-
-
 def _ground(
-    canvas: Floats,
-    inverse_depth: Floats,
-    world: World,
-    camera: Camera,
-    look: Look,
-    run: int,
+    canvas: Floats, inverse_depth: Floats, world: World, camera: Camera, look: Look, run: int,
     first: int,
-) -> None:
+) -> None:  # fmt: skip
+    """Draw the ground and, in a corridor, its ceiling."""
     pixels, table = world.ground(first, look, run)
     ahead = camera.along - first * BLOCK
     bends = camera.bend(world, camera.along + np.arange(402.0))
     view = (ahead, HALF, float(ALONG), float(ACROSS))
-    draw_level(
-        canvas, inverse_depth, pixels, table, _detail(), -camera.height, view, bends, camera.lens
-    )
+    grain, lens = ground.detail(), camera.lens
+    draw_level(canvas, inverse_depth, pixels, table, grain, -camera.height, view, bends, lens)
     if world.kind == "corridor":
         pixels, table = world.ceiling(first)
-        above = corridor.HIGH - camera.height
-        draw_level(canvas, inverse_depth, pixels, table, _smooth(), above, view, bends, camera.lens)
+        grain, above = ground.smooth_detail(), corridor.HIGH - camera.height
+        draw_level(canvas, inverse_depth, pixels, table, grain, above, view, bends, lens)
 
 
 def _planes(
-    canvas: Floats, inverse_depth: Floats, world: World, camera: Camera, look: Look, things: Arrays
+    canvas: Floats, inverse_depth: Floats, world: World, camera: Camera, look: Look, things: Things
 ) -> None:
     """Draw planes from far to near."""
     if not things.keys:
@@ -128,14 +110,14 @@ def _planes(
     gain = gain.astype(np.float32)
     lens = camera.lens
     for index in order:
-        pixels, table = world.textures.get(things.keys[index], look.season)
+        pixels, table = world.texture(things.keys[index], look.season)
         draw_plane(
             canvas, inverse_depth, pixels, table, corners[index], alongs[index], things.ups[index],
             lens, gain[index],
         )  # fmt: skip
 
 
-def _lamps(world: World, camera: Camera, look: Look, things: Arrays) -> Floats:
+def _lamps(world: World, camera: Camera, look: Look, things: Things) -> Floats:
     """(N, 6) lamps near the camera, in its axes."""
     if look.lamps <= 0 or not len(things.lamps):
         return np.zeros((0, 6), np.float32)

@@ -1,9 +1,10 @@
-"""House fronts: walls of many materials with windows, doors, shops, signs and wear."""
+"""Houses: fronts of many materials with windows, doors, shops, signs and wear; sides and roofs."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from amusic_gym.worlds.noise import Generator, generator, patch
@@ -104,9 +105,7 @@ def window(
         pane[:] = np.clip(pane * slope[..., None] + 22 * shine[..., None], 4, 235)
         if rng.random() < 0.4:  # curtain or blind
             share = rng.uniform(0.2, 1.0)
-            pane[: max(1, int(share * pane.shape[0]))] = np.clip(
-                vary(rng, (185, 195, 200), 25), 0, 255
-            )
+            pane[: max(1, int(share * pane.shape[0]))] = vary(rng, (185, 195, 200), 25)
         if lit:
             warm = np.array([120, 190, 235]) + rng.normal(0, 18, 3)
             paint.glow[max(0, top) : bottom, max(0, left) : right] = glow
@@ -136,9 +135,8 @@ def shop(paint: Paint, rng: Generator, x0: float, x1: float, high: float, open_:
     x = x0 + 0.15
     while x < x1 - 0.6:
         wide = min(rng.uniform(0.9, 2.2), x1 - 0.15 - x)
-        paint.box(
-            x, rng.choice([0.1, 0.5]), x + wide, high - 0.75, vary(rng, (70, 65, 60), 25), glow
-        )
+        low = rng.choice([0.1, 0.5])
+        paint.box(x, low, x + wide, high - 0.75, vary(rng, (70, 65, 60), 25), glow)
         for _ in range(int(rng.integers(3, 10))):  # goods in the window
             gx, gy = rng.uniform(x, x + wide - 0.2), rng.uniform(0.5, high - 1.1)
             size = rng.uniform(0.1, 0.45)
@@ -173,19 +171,20 @@ def lettering(
 
 
 def facade(
-    seed: int, number: int, style: Style, wide: float, storeys: int, use: str, season: str
+    seed: int, season: str, number: int, kind: int, wide: float, storeys: int, use: str
 ) -> Paint:
     """A front ``wide`` metres wide.
 
     Args:
         seed: of the world.
+        season: "summer", "autumn" or "winter".
         number: of the house: equal numbers give equal houses.
-        style: the type of house.
+        kind: the type of house, see :func:`style_of`.
         wide: metres.
         storeys: at least one.
         use: "home", "shop" or "hall".
-        season: "summer", "autumn" or "winter".
     """
+    style = style_of(seed, kind)
     rng = generator(seed, "facade", number)
     high = storeys * style.storey + 0.7
     paint = Paint(wide, high, style.wall)
@@ -273,3 +272,55 @@ def leaves(paint: Paint, rng: Generator, wide: float, high: float) -> None:
     for _ in range(260):
         x, y = rng.normal(middle, reach * 0.5), abs(rng.normal(0, high * 0.35))
         paint.disk(x, y, 0.12, 0.1, vary(rng, (40, 85, 55), 20))
+
+
+def roof(seed: int, season: str, number: int, wide: float, deep: float) -> Paint:
+    """Tiles of a roof seen from the street."""
+    rng = generator(seed, "roof", number)
+    tile = pick(rng, ((60, 75, 130), (70, 70, 75), (55, 60, 95), (90, 95, 95)))
+    paint = Paint(wide, deep, tile, texels=16)
+    y = np.arange(paint.rows)[:, None] / 16 / 0.33
+    x = np.arange(paint.columns)[None, :] / 16 / 0.3
+    ribs = np.cos(2 * np.pi * x) * 0.6 + np.where((y % 1) < 0.3, -1.3, 0.4)
+    paint.shade(ribs.astype(np.float32), 0.14)
+    for _ in range(int(rng.integers(0, 3))):
+        wx = rng.uniform(0.5, max(0.6, wide - 1.5))
+        paint.box(wx, deep * 0.3, wx + 0.9, deep * 0.65, (190, 180, 170))
+    paint.weather(rng)
+    if season == "winter":
+        cover = patch(rng, paint.rows, paint.columns, 1.3, zoom=1.5) > -0.9
+        paint.colour[cover] = 232
+        paint.shade(patch(rng, paint.rows, paint.columns, 1.2), 0.03)
+    return paint
+
+
+def side(seed: int, season: str, number: int, kind: int, deep: float, high: float) -> Paint:
+    """A side wall: the material, few windows, perhaps an old advertisement."""
+    style = style_of(seed, kind)
+    rng = generator(seed, "side", number)
+    paint = Paint(deep, high, vary(rng, style.wall, 8), texels=20)
+    courses(paint, rng, style.material)
+    if rng.random() < 0.35:
+        board = pick(rng, SIGNS)
+        x, y = rng.uniform(0, max(0.1, deep - 3)), rng.uniform(1.5, max(1.6, high - 3))
+        paint.box(x, y, x + 2.8, y + 1.8, board)
+        lettering(paint, rng, x + 0.2, y + 0.9, 2.3, 0.5, board)
+    for floor in range(int(high / style.storey)):
+        if rng.random() < 0.5:
+            x = rng.uniform(0.5, max(0.6, deep - 1.5))
+            y = floor * style.storey + 1.0
+            window(paint, rng, x, y, style, sill_snow=False, lit=bool(rng.random() < 0.3))
+    extras(paint, rng, deep, high)
+    paint.weather(rng, 0.07, 0.16)
+    cv2.GaussianBlur(paint.colour, (3, 3), 0.5, dst=paint.colour)
+    return paint
+
+
+def gable(seed: int, season: str, number: int, kind: int, deep: float, rise: float) -> Paint:
+    """The triangle of a side wall under the roof."""
+    paint = side(seed, season, number, kind, deep, rise)
+    cover = np.zeros_like(paint.alpha)
+    corners = np.array([[0, paint.rows], [paint.columns, paint.rows], [paint.columns // 2, 0]])
+    cv2.fillPoly(cover, [corners.astype(np.int32)], 255)
+    paint.alpha &= cover
+    return paint

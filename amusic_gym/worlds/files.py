@@ -15,14 +15,8 @@ from amusic_gym.utils import storage
 from amusic_gym.utils.checks import whole
 from amusic_gym.worlds.conditions import REFERENCE, look_at
 from amusic_gym.worlds.film import Image
-from amusic_gym.worlds.views import (
-    SIZE,
-    SPACING,
-    check_places,
-    check_size,
-    render,
-)
-from amusic_gym.worlds.world import Kind, World
+from amusic_gym.worlds.views import SIZE, check_places, check_size, render
+from amusic_gym.worlds.world import SPACING, Kind, World
 
 QUALITY = 92
 """Of the JPEG files: recordings have their artefacts too, and a place takes about 35 kB."""
@@ -82,25 +76,13 @@ def render_folders(
     places, (columns, rows) = check_places(places), check_size(size)
     if isinstance(conditions, str):
         raise ValueError(f"conditions is {conditions!r}; give a list of names, as [{conditions!r}]")
-    drives = [("reference", REFERENCE, 0)]
-    for condition in dict.fromkeys(conditions):
+    for condition in conditions:
         look_at(condition, world.seed, 0, 0.0)
-        drives.append((condition, condition, run_of(condition)))
+    drives = [("reference", REFERENCE, 0)]
+    drives += [(condition, condition, run_of(condition)) for condition in dict.fromkeys(conditions)]
+    drawn = (VERSION, cv2.__version__, world.seed, world.kind)
     jobs = [
-        (
-            Path(out) / name,
-            Settings(
-                VERSION,
-                cv2.__version__,
-                world.seed,
-                world.kind,
-                condition,
-                run,
-                columns,
-                rows,
-                places,
-            ),
-        )
+        (Path(out) / name, Settings(*drawn, condition, run, columns, rows, places))
         for name, condition, run in drives
     ]
     for folder, settings in jobs:  # all refusals before the first image
@@ -131,10 +113,8 @@ def _write(folder: Path, settings: Settings, world: World) -> Iterator[Path]:
             for place in range(settings.places):
                 path = folder / f"{place:0{digits}d}.jpg"
                 if not is_whole(path):
-                    size = (settings.columns, settings.rows)
-                    image = render(
-                        world, step * place, settings.condition, size=size, run=settings.run
-                    )
+                    size, run = (settings.columns, settings.rows), settings.run
+                    image = render(world, step * place, settings.condition, size=size, run=run)
                     _place(path, encode(image))
                 yield path
     except OSError as error:

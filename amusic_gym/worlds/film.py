@@ -78,14 +78,8 @@ def _flakes(picture: Floats, look: Look, rng: Generator) -> None:
     for x, y, size in zip(
         rng.uniform(0, columns, count), rng.uniform(0, rows, count), sizes, strict=True
     ):
-        cv2.circle(
-            layer,
-            (int(x), int(y)),
-            max(1, int(size)),
-            float(0.75 / (0.6 + 0.5 * size)),
-            -1,
-            cv2.LINE_AA,
-        )
+        bright = float(0.75 / (0.6 + 0.5 * size))
+        cv2.circle(layer, (int(x), int(y)), max(1, int(size)), bright, -1, cv2.LINE_AA)
     cv2.GaussianBlur(layer, (0, 0), max(0.5, columns / 400), dst=layer)
     picture += layer[..., None] * (235 - picture)
 
@@ -119,14 +113,6 @@ def _rain(picture: Floats, look: Look, rng: Generator) -> None:
     drops = int(55 * look.rain)
     for x, y, size in zip(rng.uniform(0, columns, drops), rng.uniform(0, rows, drops),
                           rng.uniform(0.006, 0.03, drops) * columns, strict=True):  # fmt: skip
-        cv2.ellipse(
-            mask,
-            (int(x), int(y)),
-            (max(1, int(size)), max(1, int(1.25 * size))),
-            0,
-            0,
-            360,
-            255,
-            -1,
-        )
+        axes = (max(1, int(size)), max(1, int(1.25 * size)))
+        cv2.ellipse(mask, (int(x), int(y)), axes, 0, 0, 360, 255, -1)
     picture[mask > 0] = 0.9 * soft[mask > 0] + 22

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.worlds.noise import Floats, Generator, generator, patch
+from amusic_gym.worlds.noise import Floats, Generator, fractal, generator, patch
+from amusic_gym.worlds.paint import Colour
 
 ALONG = 10
 """Texels per metre along the route."""
@@ -25,31 +27,17 @@ BLOCK = 24
 Texture = NDArray[np.uint8]
 
 
-@dataclass(frozen=True)
-class Shadow:
-    """A dark patch: corners in (metres across, metres along the block)."""
-
-    corners: tuple[tuple[float, float], ...]
-
-
 class Plan:
     """A block's ground while it is painted; across from -HALF to HALF, along from 0 to BLOCK."""
 
-    def __init__(self, rng: Generator, colour: tuple[float, float, float]) -> None:
+    def __init__(self, rng: Generator, colour: Colour) -> None:
         self.rng = rng
         self.rows, self.columns = BLOCK * ALONG, int(2 * HALF * ACROSS)
         self.colour = np.empty((self.rows, self.columns, 3), np.float32)
         self.colour[:] = colour
         self.glow = np.zeros((self.rows, self.columns), np.uint8)
 
-    def strip(
-        self,
-        x0: float,
-        x1: float,
-        colour: tuple[float, float, float],
-        s0: float = 0,
-        s1: float = BLOCK,
-    ) -> None:
+    def strip(self, x0: float, x1: float, colour: Colour, s0: float = 0, s1: float = BLOCK) -> None:
         """Fill a rectangle."""
         self.colour[self._rows(s0, s1), self._columns(x0, x1)] = colour
 
@@ -60,14 +48,7 @@ class Plan:
         part = self.colour[:, self._columns(x0, x1)]
         part *= 1 + strength * patch(self.rng, self.rows, part.shape[1], exponent, zoom)[..., None]
 
-    def cover(
-        self,
-        x0: float,
-        x1: float,
-        colour: tuple[float, float, float],
-        share: float,
-        zoom: float = 1.0,
-    ) -> None:
+    def cover(self, x0: float, x1: float, colour: Colour, share: float, zoom: float = 1.0) -> None:
         """Patches of something over a strip, about ``share`` of it."""
         part = self.colour[:, self._columns(x0, x1)]
         field = patch(self.rng, self.rows, part.shape[1], 1.2, zoom)
@@ -87,12 +68,12 @@ class Plan:
         return slice(max(0, round((x0 + HALF) * ACROSS)), max(0, round((x1 + HALF) * ACROSS)))
 
 
-def shaded(texture: Texture, shadows: list[Shadow], dark: float) -> Texture:
-    """A copy of a map, darkened by ``dark`` (0-1) where the sun does not reach."""
+def shaded(texture: Texture, shadows: Iterable[NDArray[np.float64]], dark: float) -> Texture:
+    """A copy of a map, darkened by ``dark`` (0-1) within the `Block.cast` shadows."""
     rows, columns = texture.shape[:2]
     mask = np.full((rows, columns), 255, np.uint8)
-    for shadow in shadows:
-        points = np.array([[(x + HALF) * ACROSS, s * ALONG] for x, s in shadow.corners])
+    for corners in shadows:
+        points = (corners + (HALF, 0)) * (ACROSS, ALONG)
         cv2.fillPoly(mask, [np.rint(points).astype(np.int32)], 255 * (1 - dark))
     cv2.GaussianBlur(mask, (0, 0), 2.0, dst=mask)
     done = texture.copy()
@@ -105,16 +86,7 @@ GRASS = {"summer": (52, 112, 92), "autumn": (62, 108, 118), "winter": (228, 224,
 
 
 def street(seed: int, block: int, zone: str, season: str, half: float, walk: float) -> Plan:
-    """Road with markings, patches and drains, kerbs, pavements and what lies beyond.
-
-    Args:
-        seed: of the world.
-        block: number of the block.
-        zone: what stands along it.
-        season: "summer", "autumn" or "winter".
-        half: half the road's width in metres.
-        walk: width of a pavement in metres.
-    """
+    """Road of half width ``half`` with markings, repairs and kerbs, pavements, what lies beyond."""
     rng = generator(seed, "ground", block)
     look = generator(seed, "road", block // 6)
     snow = season == "winter"
@@ -128,16 +100,14 @@ def street(seed: int, block: int, zone: str, season: str, half: float, walk: flo
     for _ in range(int(rng.integers(0, 5))):  # repairs
         x, s = rng.uniform(-half, half - 1), rng.uniform(0, BLOCK - 3)
         tone = asphalt * rng.uniform(0.7, 1.2)
-        plan.strip(
-            x, min(half, x + rng.uniform(0.5, 2.5)), (tone, tone, tone), s, s + rng.uniform(0.6, 6)
-        )
+        end = min(half, x + rng.uniform(0.5, 2.5))
+        plan.strip(x, end, (tone, tone, tone), s, s + rng.uniform(0.6, 6))
     plan.grain(-half, half, 0.1)
     paving = look.uniform(120, 165)
     for side in (-1, 1):
         a, b = sorted((side * half, side * (half + walk)))
         plan.strip(a, b, (paving, paving, paving * 0.98))
-        size = 0.6
-        for s in np.arange(0, BLOCK, size):
+        for s in np.arange(0, BLOCK, 0.6):
             plan.strip(a, b, (paving * 0.8, paving * 0.8, paving * 0.78), s, s + 0.1)
         plan.grain(a, b, 0.1)
         edge = side * half
@@ -195,9 +165,7 @@ def _snow(plan: Plan, half: float, walk: float) -> None:
     plan.cover(half, half + walk, (232, 228, 226), 0.85, 2.0)
     plan.cover(-half, half, (215, 212, 210), 0.5, 2.5)
     for x in (-1.75, -0.75, 0.75, 1.75):  # wheel tracks
-        wobble = 0.2
-        part = plan.colour[:, plan._columns(x - 0.3 - wobble / 2, x + 0.3 + wobble / 2)]
-        part *= 0.8
+        plan.colour[:, plan._columns(x - 0.3 - 0.1, x + 0.3 + 0.1)] *= 0.8
     for side in (-1, 1):
         plan.cover(side * half - 0.6, side * half + 0.6, (238, 236, 234), 0.8)
     plan.grain(-HALF, HALF, 0.035, 1.0, 2.0)
@@ -283,10 +251,14 @@ def ceiling(seed: int, block: int) -> Plan:
     return plan
 
 
+@lru_cache(maxsize=1)
 def detail() -> Floats:
     """(512, 512) grain around 1 that makes the nearest ground rough."""
-    from amusic_gym.worlds.noise import fractal
+    rough = 1 + 0.09 * fractal(0.5, 1) + 0.05 * fractal(1.0, 2)
+    return np.ascontiguousarray(np.clip(rough, 0.6, 1.5), np.float32)
 
-    return np.ascontiguousarray(
-        np.clip(1 + 0.09 * fractal(0.5, 1) + 0.05 * fractal(1.0, 2), 0.6, 1.5), np.float32
-    )
+
+@lru_cache(maxsize=1)
+def smooth_detail() -> Floats:
+    """A quarter of it, for ceilings."""
+    return np.ascontiguousarray(1 + 0.25 * (detail() - 1))

@@ -10,6 +10,7 @@ from amusic_gym.worlds.paint import Colour, Paint, pick, vary
 from amusic_gym.worlds.plants import BARK, leaf_colour
 
 WHITE: Colour = (232.0, 230.0, 227.0)
+METAL = ((160, 162, 165), (110, 125, 120), (80, 115, 160), (60, 62, 66), (150, 140, 90))
 
 
 def rock(seed: int, season: str, number: int, wide: float, high: float) -> Paint:
@@ -27,9 +28,8 @@ def rock(seed: int, season: str, number: int, wide: float, high: float) -> Paint
         x, y = rng.uniform(0, wide), rng.uniform(0, high)
         tint = leaf_colour(rng, season, number) if season != "winter" else WHITE
         for _ in range(8):
-            paint.disk(
-                x + rng.normal(0, 0.3), y + rng.normal(0, 0.12), 0.14, 0.1, vary(rng, tint, 14)
-            )
+            at = x + rng.normal(0, 0.3), y + rng.normal(0, 0.12)
+            paint.disk(*at, 0.14, 0.1, vary(rng, tint, 14))
     paint.weather(rng, 0.08, 0.2)
     if season == "winter":
         ledges = relief + 0.5 * slope / (slope.std() + 1e-6) > 0.75
@@ -42,18 +42,17 @@ def slope(seed: int, season: str, number: int, wide: float, high: float) -> Pain
     rng = generator(seed, "slope", number)
     base: dict[str, Colour] = {"summer": (50, 105, 85), "autumn": (60, 100, 115), "winter": WHITE}
     paint = Paint(wide, high, base[season], texels=18)
-    bare = patch(rng, paint.rows, paint.columns, 1.1, zoom=2.0) > (
-        0.9 if season != "winter" else 1.2
-    )
+    winter = season == "winter"
+    bare = patch(rng, paint.rows, paint.columns, 1.1, zoom=2.0) > (1.2 if winter else 0.9)
     paint.colour[bare] = (75, 95, 110)
     dark: Colour = (35, 75, 58) if season == "summer" else (55, 85, 105)
     for _ in range(int(30 * wide)):
         x, y = rng.uniform(0, wide), rng.uniform(0, high)
-        tint = vary(rng, dark if season != "winter" else BARK[1], 18)
-        if season == "winter" and rng.random() < 0.6:
+        tint = vary(rng, BARK[1] if winter else dark, 18)
+        if winter and rng.random() < 0.6:
             continue
         paint.line(x, y, x + rng.normal(0, 0.15), y + rng.uniform(0.1, 0.5), 0.06, tint)
-    paint.weather(rng, 0.1 if season != "winter" else 0.02, 0.18 if season != "winter" else 0.05)
+    paint.weather(rng, *((0.02, 0.05) if winter else (0.1, 0.18)))
     return paint
 
 
@@ -92,11 +91,8 @@ def paving(seed: int, season: str, number: int, wide: float, high: float) -> Pai
 
 def cabinet(seed: int, season: str, number: int, wide: float, high: float) -> Paint:
     """A metal or wooden box with doors and drawers."""
-    del season
     rng = generator(seed, "cabinet", number)
-    tone = pick(
-        rng, ((160, 162, 165), (110, 125, 120), (80, 115, 160), (60, 62, 66), (150, 140, 90))
-    )
+    tone = pick(rng, METAL)
     paint = Paint(wide, high, tone, texels=44)
     rows = int(rng.integers(1, 5))
     for row in range(rows):
@@ -111,13 +107,10 @@ def cabinet(seed: int, season: str, number: int, wide: float, high: float) -> Pa
 
 def pot_plant(seed: int, season: str, number: int) -> Paint:
     """A plant in a pot, 0.7 x 1.5 m."""
-    del season
     rng = generator(seed, "pot", number)
     paint = Paint(0.7, 1.5, texels=60)
-    paint.polygon(
-        [(0.2, 0), (0.15, 0.38), (0.55, 0.38), (0.5, 0)],
-        pick(rng, ((50, 80, 150), (200, 200, 200), (60, 60, 60))),
-    )
+    pot = pick(rng, ((50, 80, 150), (200, 200, 200), (60, 60, 60)))
+    paint.polygon([(0.2, 0), (0.15, 0.38), (0.55, 0.38), (0.5, 0)], pot)
     green = vary(rng, (45, 105, 60), 15)
     for _ in range(70):
         angle, long = rng.normal(0, 0.7), rng.uniform(0.3, 1.05)
@@ -129,7 +122,6 @@ def pot_plant(seed: int, season: str, number: int) -> Paint:
 
 def chair(seed: int, season: str, number: int) -> Paint:
     """A chair or stool, 0.8 x 0.9 m."""
-    del season
     rng = generator(seed, "chair", number)
     paint = Paint(0.8, 0.9, texels=60)
     tone = pick(rng, ((50, 50, 160), (150, 90, 40), (50, 52, 55), (60, 140, 190), (80, 120, 60)))
@@ -143,7 +135,6 @@ def chair(seed: int, season: str, number: int) -> Paint:
 
 def bin_(seed: int, season: str, number: int) -> Paint:
     """A waste bin or an extinguisher, 0.35 x 0.7 m."""
-    del season
     rng = generator(seed, "bin", number)
     paint = Paint(0.35, 0.7, texels=70)
     tone = pick(rng, ((60, 60, 62), (140, 145, 145), (150, 90, 40), (40, 40, 180), (70, 140, 60)))

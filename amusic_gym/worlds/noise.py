@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from functools import lru_cache
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,8 +42,6 @@ def patch(
     rng: Generator, height: int, width: int, exponent: float = 1.0, zoom: float = 1
 ) -> Floats:
     """A random piece (height, width) of a fractal field; ``zoom`` > 1 enlarges its features."""
-    import cv2
-
     field = fractal(exponent, int(rng.integers(3)))
     rows = int(np.ceil(height / zoom)) + 1
     columns = int(np.ceil(width / zoom)) + 1

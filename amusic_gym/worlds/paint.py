@@ -55,14 +55,12 @@ class Paint:
         self.alpha[rows, columns] = 255
         self.glow[rows, columns] = glow
 
-    def polygon(
-        self, points: Sequence[tuple[float, float]], colour: Colour, glow: float = 0
-    ) -> None:
+    def polygon(self, points: Sequence[tuple[float, float]], colour: Colour) -> None:
         """Fill a polygon."""
         corners = np.array([self.at(x, y) for x, y in points], np.int32)
         cv2.fillPoly(self.colour, [corners], colour)
         cv2.fillPoly(self.alpha, [corners], 255)
-        cv2.fillPoly(self.glow, [corners], glow)
+        cv2.fillPoly(self.glow, [corners], 0)
 
     def disk(
         self, x: float, y: float, across: float, up: float, colour: Colour, glow: float = 0

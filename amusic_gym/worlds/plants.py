@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -14,6 +15,11 @@ GREENS = ((35, 85, 60), (30, 70, 50), (45, 105, 85), (40, 95, 60), (30, 75, 70))
 AUTUMN = ((30, 110, 190), (30, 80, 170), (40, 150, 200), (30, 60, 130), (45, 110, 120))
 BARK = ((45, 55, 65), (60, 70, 80), (35, 40, 48))
 SNOW = (235, 232, 228)
+TREES: tuple[tuple[float, str], ...] = (
+    (5, "broad"), (8, "broad"), (8, "broad"), (11, "broad"), (11, "broad"), (6, "slim"),
+    (9, "slim"), (11, "slim"), (7, "conifer"), (9, "conifer"), (12, "conifer"),
+)  # fmt: skip
+"""Height in metres and kind of the trees that a world has; each stands in many places."""
 
 
 def _branch(
@@ -61,9 +67,11 @@ def _foliage(
     paint.colour[:], paint.alpha[:] = both[..., :3], both[..., 3]
 
 
-def tree(seed: int, number: int, season: str, high: float, kind: str) -> Paint:
-    """A tree ``high`` metres high and as wide, "broad", "slim" or "conifer"."""
+@lru_cache(maxsize=64)
+def tree(seed: int, season: str, number: int) -> Paint:
+    """One of `TREES`."""
     rng = generator(seed, "tree", number)
+    high, kind = TREES[number]
     texels = min(26.0, 190 / high)
     if kind == "conifer":
         return _conifer(rng, season, high, texels)
@@ -105,48 +113,57 @@ def _conifer(rng: Generator, season: str, high: float, texels: float) -> Paint:
     return paint
 
 
-def bush(seed: int, number: int, season: str, wide: float, high: float) -> Paint:
+def bush(seed: int, season: str, number: int, wide: float, high: float) -> Paint:
     """A bush or a stretch of hedge, ``wide`` x ``high`` metres."""
     rng = generator(seed, "bush", number)
     paint = Paint(wide, high, texels=min(30.0, 160 / max(wide, high)))
     steps = max(3, int(wide / 0.35))
-    clumps = [
-        (
-            wide * (0.08 + 0.84 * (i // 2 + rng.random()) / steps),
-            high * rng.uniform(0.15, 0.68),
-            0.38 * high,
-        )
-        for i in range(2 * steps)
-    ]
+    clumps = []
+    for i in range(2 * steps):
+        x = wide * (0.08 + 0.84 * (i // 2 + rng.random()) / steps)
+        clumps.append((x, high * rng.uniform(0.15, 0.68), 0.38 * high))
     if season == "winter":
         for x, y, size in clumps * 4:
-            paint.line(
-                x, 0.05, x + rng.normal(0, 0.25), y + size * rng.random(), 0.03, BARK[number % 3]
-            )
+            end = x + rng.normal(0, 0.25)
+            paint.line(x, 0.05, end, y + size * rng.random(), 0.03, BARK[number % 3])
         _foliage(paint, rng, [(x, y, 0.6 * s) for x, y, s in clumps], SNOW, 60, 0.05)
         return paint
-    _foliage(
-        paint,
-        rng,
-        clumps,
-        leaf_colour(rng, season, number),
-        int(120 + 160 * wide),
-        0.055 + 0.02 * high,
-    )
+    colour = leaf_colour(rng, season, number)
+    _foliage(paint, rng, clumps, colour, int(120 + 160 * wide), 0.055 + 0.02 * high)
     paint.shade(np.linspace(0.25, -1, paint.rows, dtype=np.float32)[:, None], 0.3)
     return paint
 
 
-def grass(seed: int, number: int, season: str, wide: float, high: float) -> Paint:
+def grass(seed: int, season: str, number: int, wide: float, high: float) -> Paint:
     """Tall grass and weeds along a verge."""
     rng = generator(seed, "grass", number)
     paint = Paint(wide, high, texels=36)
-    base: Colour = (75, 120, 130) if season != "summer" else (50, 115, 90)
-    if season == "winter":
-        base = (150, 165, 175)
+    seasons: dict[str, Colour] = {
+        "summer": (50, 115, 90), "autumn": (75, 120, 130), "winter": (150, 165, 175)
+    }  # fmt: skip
     for _ in range(int(70 * wide)):
         x = rng.uniform(0, wide)
-        paint.line(
-            x, 0, x + rng.normal(0, 0.12), high * rng.uniform(0.3, 1.0), 0.025, vary(rng, base, 22)
-        )
+        end, top = x + rng.normal(0, 0.12), high * rng.uniform(0.3, 1.0)
+        paint.line(x, 0, end, top, 0.025, vary(rng, seasons[season], 22))
+    return paint
+
+
+def thicket(seed: int, season: str, number: int, wide: float, high: float) -> Paint:
+    """A wall of trees and bushes: their pictures side by side."""
+    rng = generator(seed, "thicket", number)
+    paint = Paint(wide, high, texels=16)
+    for _ in range(int(2.2 * wide)):
+        part = tree(seed, season, int(rng.integers(len(TREES))))
+        tall = rng.uniform(0.45, 1.0) * paint.rows
+        size = (max(2, int(tall * part.columns / part.rows)), int(tall))
+        both = np.dstack([part.colour, part.alpha])
+        picture = cv2.resize(both, size, interpolation=cv2.INTER_AREA)
+        x = int(rng.integers(-size[0] // 2, paint.columns - size[0] // 2))
+        left, right = max(0, x), min(paint.columns, x + size[0])
+        target = (slice(paint.rows - size[1], paint.rows), slice(left, right))
+        piece = picture[:, left - x : right - x]
+        alpha = piece[..., 3:].astype(np.float32) / 255
+        mixed = paint.colour[target] * (1 - alpha) + piece[..., :3] * alpha * rng.uniform(0.6, 1.05)
+        paint.colour[target] = np.clip(mixed, 0, 255)
+        paint.alpha[target] = np.maximum(paint.alpha[target], piece[..., 3])
     return paint

@@ -110,17 +110,10 @@ def _invert(corner: Vector, along: Vector, up: Vector, lens: Lens, out: Vector) 
     ``out`` takes the nine numbers of M^-1, row by row. False when the plane is seen edge-on.
     """
     focal, centre_x, centre_y = lens
-    ax, ay, az = (
-        focal * along[0] + centre_x * along[2],
-        -focal * along[1] + centre_y * along[2],
-        along[2],
-    )
-    bx, by, bz = focal * up[0] + centre_x * up[2], -focal * up[1] + centre_y * up[2], up[2]
-    cx, cy, cz = (
-        focal * corner[0] + centre_x * corner[2],
-        -focal * corner[1] + centre_y * corner[2],
-        corner[2],
-    )
+    az, bz, cz = along[2], up[2], corner[2]
+    ax, ay = focal * along[0] + centre_x * az, -focal * along[1] + centre_y * az
+    bx, by = focal * up[0] + centre_x * bz, -focal * up[1] + centre_y * bz
+    cx, cy = focal * corner[0] + centre_x * cz, -focal * corner[1] + centre_y * cz
     whole = ax * (by * cz - cy * bz) - bx * (ay * cz - cy * az) + cx * (ay * bz - by * az)
     if abs(whole) < 1e-9:
         return False
@@ -205,12 +198,8 @@ def draw_plane(
     height, width = inverse_depth.shape
     if left > width or right < -1 or top > height or bottom < -1:
         return
-    box = (
-        max(0, int(left)),
-        min(width - 1, int(right) + 1),
-        max(0, int(top)),
-        min(height - 1, int(bottom) + 1),
-    )
+    x0, x1 = max(0, int(left)), min(width - 1, int(right) + 1)
+    box = (x0, x1, max(0, int(top)), min(height - 1, int(bottom) + 1))
     m = np.empty(9)
     if (right - left) * (bottom - top) >= 0.5 and _invert(corner, along, up, lens, m):
         _fill(canvas, inverse_depth, pixels, table, m, gain, box)

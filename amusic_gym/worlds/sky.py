@@ -85,11 +85,8 @@ def skyline(seed: int, kind: str, season: str) -> tuple[Floats, Floats]:
 def _towers(rng: np.random.Generator, colour: Floats, alpha: Floats) -> None:
     """Blocks and spires on the horizon: landmarks one keeps seeing."""
     for _ in range(60):
-        x, wide, high = (
-            int(rng.integers(ROUND)),
-            int(rng.integers(8, 40)),
-            int(rng.integers(20, 70)),
-        )
+        x, wide = int(rng.integers(ROUND)), int(rng.integers(8, 40))
+        high = int(rng.integers(20, 70))
         tone = rng.uniform(95, 165) + rng.normal(0, 6, 3)
         columns = slice(x, min(ROUND, x + wide))
         colour[HILLS - high :, columns] = tone

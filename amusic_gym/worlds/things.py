@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
-from amusic_gym.worlds.facades import SIGNS, lettering
-from amusic_gym.worlds.noise import Generator, generator
+from amusic_gym.worlds.facades import SIGNS, WALLS, courses, lettering
+from amusic_gym.worlds.noise import generator
 from amusic_gym.worlds.paint import Colour, Paint, dim, pick, vary
 
 CAR = ((200, 200, 200), (40, 40, 42), (120, 120, 125), (130, 60, 30), (40, 40, 150),
@@ -14,15 +15,13 @@ CLOTHES = ((60, 50, 45), (120, 70, 40), (50, 50, 130), (150, 150, 150), (60, 100
            (40, 130, 190), (90, 60, 90), (30, 30, 32))  # fmt: skip
 GLASS: Colour = (70, 62, 55)
 BLACK: Colour = (28, 28, 30)
+SNOW: Colour = (236, 236, 236)
 
 
-def car_side(seed: int, number: int, season: str) -> Paint:
+def car_side(seed: int, season: str, number: int) -> Paint:
     """Seen from the side: 4.3 x 1.5 m, or a van of 2 m."""
-    rng = generator(seed, "car", number)
-    body = pick(rng, CAR)
-    van = rng.random() < 0.25
+    body, van, paint = _car(seed, number, 4.3)
     high = 2.0 if van else 1.5
-    paint = Paint(4.3, high, texels=40)
     roof = [(0.35, 0.9), (0.95, high), (2.7, high), (3.5, 0.92)]
     if van:
         roof = [(0.15, 0.9), (0.3, high), (3.3, high), (3.8, 1.0)]
@@ -30,27 +29,20 @@ def car_side(seed: int, number: int, season: str) -> Paint:
     low = dim(body, 0.7)
     paint.polygon([(0.05, 0.3), (0.1, 0.95), (3.6, 0.97), (4.25, 0.75), (4.28, 0.3)], body)
     paint.polygon([(0.05, 0.3), (0.05, 0.5), (4.28, 0.5), (4.28, 0.3)], low)
-    inset = [(0.65, 0.95), (1.05, high - 0.1), (1.75, high - 0.1), (1.75, 0.95)]
     if not van:
-        paint.polygon(inset, GLASS)
+        paint.polygon([(0.65, 0.95), (1.05, high - 0.1), (1.75, high - 0.1), (1.75, 0.95)], GLASS)
     paint.polygon([(1.85, 0.95), (1.85, high - 0.1), (2.65, high - 0.1), (3.3, 0.95)], GLASS)
     paint.line(1.8, 0.35, 1.8, 1.0, 0.03, low)
     for x in (0.85, 3.4):
         paint.disk(x, 0.33, 0.34, 0.33, BLACK)
         paint.disk(x, 0.33, 0.19, 0.19, (150, 150, 150))
-    paint.shade(np.linspace(1, -1, paint.rows, dtype=np.float32)[:, None], 0.16)
-    if season == "winter":
-        paint.box(roof[1][0], high - 0.1, roof[2][0], high, (236, 236, 236))
-    return paint
+    return _finished_car(paint, season, roof[1][0], roof[2][0], high)
 
 
-def car_back(seed: int, number: int, season: str) -> Paint:
+def car_back(seed: int, season: str, number: int) -> Paint:
     """The rear, 1.8 m wide, of the same car."""
-    rng = generator(seed, "car", number)
-    body = pick(rng, CAR)
-    van = rng.random() < 0.25
+    body, van, paint = _car(seed, number, 1.8)
     high = 2.0 if van else 1.5
-    paint = Paint(1.8, high, texels=40)
     paint.polygon(
         [(0.05, 0.25), (0.05, 0.95), (0.25, high), (1.55, high), (1.75, 0.95), (1.75, 0.25)], body
     )
@@ -60,21 +52,25 @@ def car_back(seed: int, number: int, season: str) -> Paint:
         paint.box(x + 0.02, 0, x + 0.22, 0.3, BLACK)
     paint.box(0.6, 0.55, 1.2, 0.68, (215, 220, 220))
     paint.box(0.05, 0.25, 1.75, 0.42, dim(body, 0.6))
+    return _finished_car(paint, season, 0.25, 1.55, high)
+
+
+def _car(seed: int, number: int, wide: float) -> tuple[Colour, bool, Paint]:
+    """Colour of a car, whether it is a van, and an empty picture."""
+    rng = generator(seed, "car", number)
+    body, van = pick(rng, CAR), rng.random() < 0.25
+    return body, van, Paint(wide, 2.0 if van else 1.5, texels=40)
+
+
+def _finished_car(paint: Paint, season: str, x0: float, x1: float, high: float) -> Paint:
+    """Shaded from above, with snow on its roof in winter."""
     paint.shade(np.linspace(1, -1, paint.rows, dtype=np.float32)[:, None], 0.16)
     if season == "winter":
-        paint.box(0.25, high - 0.1, 1.55, high, (236, 236, 236))
+        paint.box(x0, high - 0.1, x1, high, SNOW)
     return paint
 
 
-def car_top(seed: int, number: int, season: str) -> Paint:
-    """Roof and bonnet, one strip."""
-    rng = generator(seed, "car", number)
-    body = pick(rng, CAR)
-    paint = Paint(4.0, 1.6, body if season != "winter" else (234, 234, 234), texels=16)
-    return paint
-
-
-def train(seed: int, number: int) -> Paint:
+def train(seed: int, season: str, number: int) -> Paint:
     """The side of a carriage, 20 x 3.4 m."""
     rng = generator(seed, "train", number)
     body, stripe = pick(rng, SIGNS), pick(rng, SIGNS)
@@ -89,7 +85,7 @@ def train(seed: int, number: int) -> Paint:
     return paint
 
 
-def person(seed: int, number: int, season: str) -> Paint:
+def person(seed: int, season: str, number: int) -> Paint:
     """A standing or walking person, 0.9 x 1.8 m."""
     rng = generator(seed, "person", number)
     high = rng.uniform(1.55, 1.85)
@@ -99,14 +95,8 @@ def person(seed: int, number: int, season: str) -> Paint:
     stride = rng.uniform(0.02, 0.22)
     for side in (-1, 1):
         paint.line(0.45 + side * 0.07, 0.5 * high, 0.45 + side * stride, 0.04, 0.15, legs)
-        paint.line(
-            0.45 + side * 0.2,
-            0.8 * high,
-            0.45 + side * (0.24 + 0.3 * stride),
-            0.47 * high,
-            0.1,
-            top,
-        )
+        hand = 0.45 + side * (0.24 + 0.3 * stride)
+        paint.line(0.45 + side * 0.2, 0.8 * high, hand, 0.47 * high, 0.1, top)
     long = 0.3 if season == "winter" else 0.45
     paint.polygon(
         [(0.26, long * high), (0.24, 0.82 * high), (0.66, 0.82 * high), (0.64, long * high)], top
@@ -119,7 +109,7 @@ def person(seed: int, number: int, season: str) -> Paint:
     return paint
 
 
-def pole(seed: int, number: int, high: float, wide: float) -> Paint:
+def pole(seed: int, season: str, number: int, high: float, wide: float) -> Paint:
     """A round pole, shaded."""
     rng = generator(seed, "pole", number)
     tone = pick(rng, ((110, 112, 115), (80, 90, 80), (70, 85, 100), (150, 152, 155)))
@@ -130,9 +120,8 @@ def pole(seed: int, number: int, high: float, wide: float) -> Paint:
     return paint
 
 
-def lamp_head(seed: int, number: int) -> Paint:
+def lamp_head(seed: int, season: str, number: int) -> Paint:
     """An arm with a lantern, 1.6 x 0.5 m, reaching right."""
-    del seed, number
     paint = Paint(1.6, 0.5, texels=40)
     paint.line(0.0, 0.1, 1.2, 0.38, 0.07, (95, 97, 100))
     paint.polygon([(1.0, 0.3), (1.1, 0.44), (1.55, 0.42), (1.58, 0.3)], (80, 82, 85))
@@ -140,7 +129,7 @@ def lamp_head(seed: int, number: int) -> Paint:
     return paint
 
 
-def sign(seed: int, number: int) -> Paint:
+def sign(seed: int, season: str, number: int) -> Paint:
     """A road or rail sign on a post, 0.8 x 2.6 m."""
     rng = generator(seed, "sign", number)
     paint = Paint(0.9, 2.7, texels=44)
@@ -162,7 +151,7 @@ def sign(seed: int, number: int) -> Paint:
     return paint
 
 
-def board(seed: int, number: int, wide: float, high: float, glow: int = 0) -> Paint:
+def board(seed: int, season: str, number: int, wide: float, high: float, glow: int) -> Paint:
     """A hoarding, poster or notice: a picture of shapes and words."""
     rng = generator(seed, "board", number)
     ground = pick(rng, (*SIGNS, (200, 190, 170), (150, 200, 225)))
@@ -187,7 +176,7 @@ def board(seed: int, number: int, wide: float, high: float, glow: int = 0) -> Pa
     return paint
 
 
-def fence(seed: int, number: int, wide: float, high: float) -> Paint:
+def fence(seed: int, season: str, number: int, wide: float, high: float) -> Paint:
     """Pickets, bars or mesh."""
     rng = generator(seed, "fence", number)
     paint = Paint(wide, high, texels=40)
@@ -200,23 +189,20 @@ def fence(seed: int, number: int, wide: float, high: float) -> Paint:
     return paint
 
 
-def low_wall(seed: int, number: int, wide: float, high: float, season: str) -> Paint:
+def low_wall(seed: int, season: str, number: int, wide: float, high: float) -> Paint:
     """A garden wall."""
-    from amusic_gym.worlds.facades import WALLS, courses
-
     rng = generator(seed, "wall", number)
     material = ("brick", "stone", "plaster")[int(rng.integers(3))]
     paint = Paint(wide, high, pick(rng, WALLS[material]))
     courses(paint, rng, material)
     paint.weather(rng, 0.08, 0.2)
-    top: Colour = (236, 236, 236) if season == "winter" else (140, 145, 150)
-    paint.box(0, high - 0.1, wide, high, top)
+    paint.box(0, high - 0.1, wide, high, SNOW if season == "winter" else (140, 145, 150))
     return paint
 
 
-def street_clutter(seed: int, number: int, season: str) -> Paint:
+def street_clutter(seed: int, season: str, number: int) -> Paint:
     """A bin, box, bench, planter or hydrant, 1.2 x 1.2 m."""
-    rng: Generator = generator(seed, "clutter", number)
+    rng = generator(seed, "clutter", number)
     paint = Paint(1.2, 1.2, texels=44)
     kind = int(rng.integers(5))
     tone = pick(rng, SIGNS)
@@ -235,13 +221,24 @@ def street_clutter(seed: int, number: int, season: str) -> Paint:
         paint.box(0.2, 0, 1.0, 0.5, vary(rng, (120, 130, 150), 15))
         for _ in range(90):
             leaf = (60, 110, 70) if season != "winter" else (90, 110, 120)
-            paint.disk(
-                rng.normal(0.6, 0.2), rng.uniform(0.45, 1.1), 0.07, 0.06, vary(rng, leaf, 25)
-            )
+            x, y = rng.normal(0.6, 0.2), rng.uniform(0.45, 1.1)
+            paint.disk(x, y, 0.07, 0.06, vary(rng, leaf, 25))
     else:
         paint.box(0.45, 0, 0.75, 0.8, (40, 40, 180))
         paint.disk(0.6, 0.8, 0.17, 0.15, (40, 40, 170))
     if season == "winter" and kind < 3:
-        paint.box(0.15, 1.05 if kind < 2 else 0.5, 1.0, 1.12 if kind < 2 else 0.56, (236, 236, 236))
+        low, high = (1.05, 1.12) if kind < 2 else (0.5, 0.56)
+        paint.box(0.15, low, 1.0, high, SNOW)
     paint.shade(np.linspace(0.6, -1, paint.columns, dtype=np.float32)[None, :], 0.15)
+    return paint
+
+
+def wire(seed: int, season: str, number: int) -> Paint:
+    """A line that hangs between two poles, 24 x 1.2 m."""
+    paint = Paint(24, 1.2, texels=22)
+    x = np.linspace(0, 24, 60)
+    y = 0.15 + 1.0 * ((x - 12) / 12) ** 2
+    points = np.array([paint.at(a, b) for a, b in zip(x, y, strict=True)], np.int32)
+    cv2.polylines(paint.alpha, [points], False, 255, 1, cv2.LINE_AA)
+    paint.colour[:] = 35
     return paint

@@ -9,10 +9,7 @@ from amusic_gym.worlds.camera import aim
 from amusic_gym.worlds.conditions import REFERENCE, look_at
 from amusic_gym.worlds.drawing import draw
 from amusic_gym.worlds.film import Image
-from amusic_gym.worlds.world import Kind, World
-
-SPACING = {"street": 2.0, "rail": 4.0, "corridor": 0.8}
-"""Metres from one place to the next, by kind."""
+from amusic_gym.worlds.world import SPACING, Kind, World
 
 SIZE = (320, 240)
 """Columns and rows."""
@@ -67,7 +64,6 @@ def traverse(
     kind: Kind | None = None,
     size: tuple[int, int] = SIZE,
     run: int = 1,
-    start: float = 0.0,
 ) -> Iterator[Image]:
     """The frames of one drive, place by place.
 
@@ -78,7 +74,6 @@ def traverse(
         kind: of the world; None lets the seed choose.
         size: (columns, rows) in pixels.
         run: number of the drive; 0 is the map's.
-        start: metres along the route of place 0.
 
     Raises:
         ValueError: for an unknown condition or kind or a value out of range.
@@ -87,8 +82,7 @@ def traverse(
     places = check_places(places)
     check_size(size)
     look_at(condition, world.seed, run, 0.0)
-    step = SPACING[world.kind]
-    positions = (start + step * place for place in range(places))
+    positions = (SPACING[world.kind] * place for place in range(places))
     return (render(world, at, condition, size=size, run=run) for at in positions)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable
 from functools import partial
+from types import ModuleType
 from typing import Any, Literal, TypeVar
 
 import cv2
@@ -13,29 +14,49 @@ from numpy.typing import NDArray
 
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import suggest
-from amusic_gym.worlds import corridor, ground, railway, sky, street, traffic
+from amusic_gym.worlds import corridor, ground, railway, sky, street
 from amusic_gym.worlds.conditions import Look
-from amusic_gym.worlds.ground import Plan, Texture
-from amusic_gym.worlds.layout import Arrays, Block, cast
-from amusic_gym.worlds.levels import Levels, pyramid
+from amusic_gym.worlds.ground import BLOCK, Plan, Texture
+from amusic_gym.worlds.layout import Block, Key, Things
 from amusic_gym.worlds.noise import generator
-from amusic_gym.worlds.textures import Textures
+from amusic_gym.worlds.textures import Levels, pyramid, texture
 
 Kind = Literal["street", "rail", "corridor"]
 KINDS: tuple[Kind, ...] = ("street", "rail", "corridor")
 
+ROUTES: dict[str, ModuleType] = {"street": street, "rail": railway, "corridor": corridor}
+"""What each kind is made of: a module with the same names as the others."""
+
+SPACING = {kind: float(route.SPACING) for kind, route in ROUTES.items()}
+"""Metres from one place to the next, by kind."""
+
 AHEAD = 6
 """Blocks drawn from the camera's own one on."""
 
-KEPT = 96
-"""Blocks, maps, skies and the like kept in memory."""
-
 Kept = TypeVar("Kept")
 
-# Per kind: camera height in metres; amplitude in metres and length in metres of the path's bends.
-EYE = {"street": 1.6, "rail": 2.6, "corridor": 1.35}
-BENDS = {"street": ((7.0, 330.0), (2.5, 170.0)), "rail": ((16.0, 520.0), (5.0, 260.0)),
-         "corridor": ((1.2, 95.0), (0.35, 47.0))}  # fmt: skip
+
+class Store:
+    """The last things that were made, by name, each as long as it is used.
+
+    Args:
+        limit: how many are kept.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._kept: OrderedDict[Any, Any] = OrderedDict()
+
+    def get(self, key: Any, make: Callable[[], Kept]) -> Kept:
+        """What ``make`` gives, or once gave."""
+        if key in self._kept:
+            self._kept.move_to_end(key)
+        else:
+            self._kept[key] = make()
+            if len(self._kept) > self._limit:
+                self._kept.popitem(last=False)
+        kept: Kept = self._kept[key]
+        return kept
 
 
 class World:
@@ -54,11 +75,12 @@ class World:
         if kind is not None and kind not in KINDS:
             raise ValueError(suggest("kind", kind, KINDS))
         self.kind: Kind = kind or KINDS[int(generator(self.seed, "kind").integers(3))]
-        self.eye = EYE[self.kind]
-        self.textures = Textures(self.seed)
-        self._kept: OrderedDict[Any, Any] = OrderedDict()
+        self.route: Any = ROUTES[self.kind]
+        self._textures = Store(400)  # about 0.3 MB each
+        self._store = Store(96)  # blocks, maps, skies and the like
         rng = generator(self.seed, "path")
-        self._waves = [(a, 2 * np.pi / b, rng.uniform(0, 2 * np.pi)) for a, b in BENDS[self.kind]]
+        bends = self.route.BENDS  # (amplitude, length) in metres
+        self._waves = [(a, 2 * np.pi / b, rng.uniform(0, 2 * np.pi)) for a, b in bends]
 
     def path(self, along: NDArray[np.float64]) -> NDArray[np.float64]:
         """Metres the path lies to the right of a straight line, at metres along it."""
@@ -69,76 +91,70 @@ class World:
         """Slope of the path, in radians (small)."""
         return float(sum(a * w * np.cos(w * along + phase) for a, w, phase in self._waves))
 
-    def things(self, first: int, run: int) -> Arrays:
-        """Everything that stands in the blocks from ``first`` on, in one set of arrays."""
-
-        def make() -> Arrays:
-            found = [self.block(number) for number in range(first, first + AHEAD)]
-            if self.kind == "street":
-                found += [self._parked(number, run) for number in range(first, first + AHEAD)]
-            return join([block.arrays() for block in found])
-
-        return self._keep(("things", first, run), make)
+    def texture(self, key: Key, season: str) -> Levels:
+        """All levels of a texture and the table of them (see `textures.pyramid`)."""
+        return self._textures.get((key, season), lambda: texture(self.seed, key, season))
 
     def block(self, number: int) -> Block:
         """What stands in a block, but for what goes and comes."""
-        build = {"street": street.build, "rail": railway.build, "corridor": corridor.build}[
-            self.kind
-        ]
-        return self._keep(("block", number), lambda: build(self.seed, number))
+        build: Callable[[], Block] = partial(self.route.build, self.seed, number)
+        return self._store.get(("block", number), build)
 
     def _parked(self, number: int, run: int) -> Block:
-        return self._keep(("parked", number, run), lambda: traffic.parked(self.seed, number, run))
+        """What stands in a block on one drive only: cars at the kerb of a street."""
+
+        def make() -> Block:
+            if self.kind == "street":
+                return street.parked(self.seed, number, run)
+            return Block(self.seed, number * BLOCK)
+
+        return self._store.get(("parked", number, run), make)
+
+    def things(self, first: int, run: int) -> Things:
+        """Everything that stands in the blocks from ``first`` on, in one set of arrays."""
+
+        def make() -> Things:
+            numbers = range(first, first + AHEAD)
+            stay, go = map(self.block, numbers), (self._parked(number, run) for number in numbers)
+            return Things.of(*stay, *go)
+
+        return self._store.get(("things", first, run), make)
 
     def ground(self, first: int, look: Look, run: int) -> Levels:
         """Map of the ground from block ``first`` on."""
+        season, side, dark = look.season, round(look.side, 2), round(look.shadow, 2)
         if self.kind == "corridor":
-            season, light, run = "summer", (0.0, 0.0), 0
-        else:
-            season, light = look.season, (round(look.side, 2), round(look.shadow, 2))
+            season, side, dark, run = "summer", 0.0, 0.0, 0
 
         def plan(number: int) -> Texture:
-            base = self._keep(
-                ("plan", number, season), lambda: self._plan(number, season).texture()
-            )
-            side, dark = light
+            draw: Callable[[], Plan] = partial(self.route.plan, self.seed, number, season)
+            base = self._store.get(("plan", number, season), lambda: draw().texture())
             if not dark:
                 return base
-            shadows = cast(self.block(number).shadows, side)
-            if self.kind == "street":
-                shadows += cast(self._parked(number, run).shadows, side)
+            shadows = self.block(number).cast(side) + self._parked(number, run).cast(side)
             return ground.shaded(base, shadows, dark)
 
         def make() -> Levels:
             numbers = range(first, first + AHEAD)
-            maps = [self._keep(("map", n, season, light, run), partial(plan, n)) for n in numbers]
+            light = (season, side, dark, run)
+            maps = [self._store.get(("map", n, *light), partial(plan, n)) for n in numbers]
             return pyramid(np.concatenate(maps))
 
-        return self._keep(("ground", first, season, light, run), make)
+        return self._store.get(("ground", first, season, side, dark, run), make)
 
     def ceiling(self, first: int) -> Levels:
         """Map of a corridor's ceiling from block ``first`` on."""
 
         def make() -> Levels:
             numbers = range(first, first + AHEAD)
-            return pyramid(
-                np.concatenate([ground.ceiling(self.seed, n).texture() for n in numbers])
-            )
+            plans = [ground.ceiling(self.seed, number).texture() for number in numbers]
+            return pyramid(np.concatenate(plans))
 
-        return self._keep(("ceiling", first), make)
-
-    def _plan(self, number: int, season: str) -> Plan:
-        if self.kind == "corridor":
-            return ground.floor(self.seed, number)
-        if self.kind == "rail":
-            zone = railway.zone_of(self.seed, number, 1)
-            return ground.rail(self.seed, number, zone, season, railway.tracks_of(self.seed))
-        zone = street.zone_of(self.seed, number, 1)
-        return ground.street(self.seed, number, zone, season, street.ROAD, street.WALK)
+        return self._store.get(("ceiling", first), make)
 
     def clouds(self, look: Look, run: int) -> NDArray[np.uint8]:
         """(512, 4096, 3) panorama of the sky with the skyline before it."""
-        key = ("sky", look.season, look.cover, look.zenith, look.horizon, look.haze, look.fog, run)
+        air = (look.ambient, look.cover, look.zenith, look.horizon, look.haze, look.fog)
 
         def make() -> NDArray[np.uint8]:
             if self.kind == "corridor":  # its far end, a few pixels wide
@@ -158,28 +174,4 @@ class World:
             np.copyto(wide[-sky.HILLS :], low, where=alpha[..., None] > 0.5)
             return np.asarray(wide, np.uint8)
 
-        return self._keep(key, make)
-
-    def _keep(self, key: Any, make: Callable[[], Kept]) -> Kept:
-        """What ``make`` gives, made once as long as it is used."""
-        if key in self._kept:
-            self._kept.move_to_end(key)
-        else:
-            self._kept[key] = make()
-            if len(self._kept) > KEPT:
-                self._kept.popitem(last=False)
-        kept: Kept = self._kept[key]
-        return kept
-
-
-def join(parts: list[Arrays]) -> Arrays:
-    """Several sets of arrays as one."""
-    return Arrays(
-        np.concatenate([part.corners for part in parts]),
-        np.concatenate([part.alongs for part in parts]),
-        np.concatenate([part.ups for part in parts]),
-        tuple(key for part in parts for key in part.keys),
-        np.concatenate([part.facing for part in parts]),
-        np.concatenate([part.reach for part in parts]),
-        np.concatenate([part.lamps for part in parts]),
-    )
+        return self._store.get(("sky", look.season, *air, run), make)

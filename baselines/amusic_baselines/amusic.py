@@ -11,6 +11,7 @@ from scipy.special import stdtr
 
 from amusic_gym.estimation.settings import BLOCK, COVERAGE, STATISTICS
 from amusic_gym.policies.protocol import Context, Needs
+from amusic_gym.policies.registry import AMUSIC, RegisteredPolicy
 from amusic_gym.utils.names import suggest
 
 ALPHA = 0.05
@@ -128,3 +129,8 @@ def amusic(argument: str | None, context: Context) -> AMuSIC:
     if argument not in STATISTICS:
         raise ValueError(suggest("statistic of amusic", argument, STATISTICS))
     return AMuSIC(argument)
+
+
+POLICY = RegisteredPolicy(
+    "amusic", amusic, AMUSIC, "A-MuSIC", colour="#0072B2", marker="D", has_variants=True
+)

@@ -6,9 +6,6 @@ import math
 
 from amusic_gym.policies.protocol import Context
 
-IDLE = "idle"
-"""In place of a subset: nothing runs."""
-
 
 def required(policy: str, argument: str | None, form: str) -> str:
     """The argument of a policy that needs one.

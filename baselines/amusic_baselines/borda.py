@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from amusic_baselines.arguments import whole
 from amusic_baselines.scores import every_row
 from amusic_gym.policies.protocol import Context, Run
+from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
 DEPTH = 20
 
@@ -53,3 +54,8 @@ def borda(argument: str | None, context: Context) -> Borda:
     if argument is None:
         return Borda()
     return Borda(whole("borda", argument, "DEPTH", argument, 1, 1_000_000))
+
+
+POLICY = RegisteredPolicy(
+    "borda", borda, PEER, "Borda", colour="#6699CC", marker="H", constant=True
+)

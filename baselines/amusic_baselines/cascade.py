@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from amusic_baselines.arguments import number, parts, whole
 from amusic_baselines.costs import cost_ranks
 from amusic_gym.policies.protocol import Context, Needs
+from amusic_gym.policies.registry import CASCADE, RegisteredPolicy
 from amusic_gym.utils.names import suggest
 
 CHEAP = 2
@@ -80,3 +81,6 @@ def cascade(argument: str | None, context: Context) -> Cascade:
         number("cascade", argument, "THRESHOLD", value, 0.0, *([1.0] if kind == "p" else [])),
         DOUBTS[kind],
     )
+
+
+POLICY = RegisteredPolicy("cascade", cascade, CASCADE, colour="#6F4E37", marker="^")

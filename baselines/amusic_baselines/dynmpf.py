@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from amusic_baselines.arguments import whole
 from amusic_baselines.scores import RADIUS, every_row, scaled
 from amusic_gym.policies.protocol import Context, Run
+from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
 MOST_TECHNIQUES = 10
 """There are 2**T - 1 subsets, 1023 of so many."""
@@ -77,3 +78,8 @@ def dynmpf(argument: str | None, context: Context) -> DynamicFusion:
     if argument is None:
         return DynamicFusion()
     return DynamicFusion(whole("dynmpf", argument, "R", argument, 0, 1_000_000))
+
+
+POLICY = RegisteredPolicy(
+    "dynmpf", dynmpf, PEER, "Dyn-MPF-style", colour="#AA3377", marker="p", constant=True
+)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from amusic_baselines.arguments import number, parts
 from amusic_baselines.scores import every_row, standardised
 from amusic_gym.policies.protocol import Context, Run
+from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
 MOVES = (0.08, 0.80, 0.12)  # chances of 0, 1 and 2 places per frame
 BETA = 0.6
@@ -69,3 +70,8 @@ def hmm(argument: str | None, context: Context) -> MarkovFilter:
         number("hmm", argument, "BETA", beta, 0.0, MOST_BETA),
         number("hmm", argument, "JUMP", jump, LEAST_JUMP, 1.0),
     )
+
+
+POLICY = RegisteredPolicy(
+    "hmm", hmm, PEER, "Markov filter", colour="#004488", marker="d", constant=True
+)

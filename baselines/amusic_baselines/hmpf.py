@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from amusic_baselines.arguments import none
 from amusic_baselines.scores import every_row, scaled, standardised
 from amusic_gym.policies.protocol import Context, Run
+from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
 CANDIDATES = (100, 10)  # that each technique of a tier passes on; the last tier decides
 WEIGHTS = (0.5, 0.75, 1.0)  # of the tiers
@@ -74,3 +75,8 @@ def hmpf(argument: str | None, context: Context) -> HierarchicalFusion:
     """``hmpf``: tiers by cost."""
     none("hmpf", argument)
     return HierarchicalFusion(tiers_by_cost(context.seconds))
+
+
+POLICY = RegisteredPolicy(
+    "hmpf", hmpf, PEER, "H-MPF-style", colour="#AA3377", marker=">", constant=True
+)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from amusic_baselines.arguments import whole
 from amusic_baselines.scores import RADIUS, best_outside, every_row, scaled
 from amusic_gym.policies.protocol import Context, Run
+from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
 EPSILON = 0.001  # of an observation that says nothing, and of a move that is not expected
 THRESHOLD = 0.5  # below it an observation says nothing
@@ -121,3 +122,6 @@ def mpf(argument: str | None, context: Context) -> MultiProcessFusion:
     if argument is None:
         return MultiProcessFusion()
     return MultiProcessFusion(whole("mpf", argument, "R", argument, 0, 1_000_000))
+
+
+POLICY = RegisteredPolicy("mpf", mpf, PEER, "MPF", colour="#AA3377", marker="<", constant=True)

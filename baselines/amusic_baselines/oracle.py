@@ -13,6 +13,7 @@ from amusic_baselines.arguments import none
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.policies.protocol import Context, Needs
+from amusic_gym.policies.registry import BOUND, RegisteredPolicy
 
 
 class Oracle:
@@ -130,3 +131,8 @@ def oracle(argument: str | None, context: Context) -> Oracle:
     none("oracle", argument)
     settings = SICSettings(context.statistic, carry=context.carry, discount=context.discount)
     return Oracle(context.bank, settings)
+
+
+POLICY = RegisteredPolicy(
+    "oracle", oracle, BOUND, needs_truth="of the route itself", colour="#999933", marker="*"
+)

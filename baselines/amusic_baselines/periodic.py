@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_baselines.arguments import IDLE, columns, required, whole
+from amusic_baselines.arguments import columns, required, whole
 from amusic_baselines.costs import cheapest
 from amusic_gym.policies.protocol import Context, Needs
+from amusic_gym.policies.registry import IDLE, PERIODIC, RegisteredPolicy
 
 FORM = "N[/A+B[/C]]"
 MOST = 1_000_000
@@ -69,3 +70,23 @@ def periodic(argument: str | None, context: Context) -> Periodic:
         for at, names in enumerate(subsets)
     )
     return Periodic(every, chosen, *rest)
+
+
+def _label(argument: str) -> str:
+    """For a reader: "5/HOG/idle" -> "HOG every 5 frames, else idle"."""
+    period, *subsets = argument.split("/")
+    often = "every frame" if period == "1" else f"every {period} frames"
+    chosen, *between = subsets or ["all"]
+    return ", else ".join([f"{chosen} {often}", *between])
+
+
+POLICY = RegisteredPolicy(
+    "periodic",
+    periodic,
+    PERIODIC,
+    label_of=_label,
+    colour="#E7298A",
+    marker="o",
+    constant=True,
+    may_idle=True,
+)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from amusic_baselines.arguments import none
 from amusic_baselines.scores import every_row, standardised
 from amusic_gym.policies.protocol import Context, Run
+from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
 
 def count_votes(rows: NDArray[np.float64], tolerance: int) -> tuple[int, float]:
@@ -53,3 +54,6 @@ def plurality(argument: str | None, context: Context) -> Plurality:
     """``plurality``."""
     none("plurality", argument)
     return Plurality(context.route.tolerance)
+
+
+POLICY = RegisteredPolicy("plurality", plurality, PEER, colour="#6699CC", marker="h", constant=True)

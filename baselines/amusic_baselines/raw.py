@@ -7,6 +7,7 @@ import numpy as np
 from amusic_baselines.arguments import required
 from amusic_gym.banks.bank import floored
 from amusic_gym.policies.protocol import Context, Run
+from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
 
 class Raw:
@@ -32,3 +33,15 @@ class Raw:
 def raw(argument: str | None, context: Context) -> Raw:
     """``raw:NAME``."""
     return Raw(context.index(required("raw", argument, "NAME")))
+
+
+POLICY = RegisteredPolicy(
+    "raw",
+    raw,
+    PEER,
+    label_of="{}, no SIC".format,
+    colour=None,
+    line=":",
+    charted=False,
+    constant=True,
+)

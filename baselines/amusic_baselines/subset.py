@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from amusic_baselines.arguments import columns, none, required
 from amusic_gym.policies.protocol import Context, Needs
+from amusic_gym.policies.registry import FIXED, RegisteredPolicy
 
 
 class Subset:
@@ -49,3 +50,12 @@ def music(argument: str | None, context: Context) -> Subset:
     """``music``: MuSIC over all techniques."""
     none("music", argument)
     return Subset(range(len(context.techniques)))
+
+
+SINGLE = RegisteredPolicy("single", single, FIXED, label_of=str, colour=None, constant=True)
+SUBSET = RegisteredPolicy(
+    "subset", subset, FIXED, label_of=str, colour=None, line="--", constant=True
+)
+MUSIC = RegisteredPolicy(
+    "music", music, FIXED, "MuSIC", colour="#000000", marker="s", constant=True
+)

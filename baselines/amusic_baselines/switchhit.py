@@ -25,6 +25,7 @@ from amusic_baselines.arguments import number
 from amusic_baselines.scores import standardised
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.policies.protocol import Context, Run
+from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
 THRESHOLD = 0.7
 """τ: correctness at which it stops."""
@@ -206,3 +207,14 @@ def switchhit(argument: str | None, context: Context) -> SwitchHit:
     rank = np.argsort(by_cost)  # (T,) of each technique
     experience = simulated(len(by_cost)).arranged(rank)
     return SwitchHit(experience, int(by_cost[0]), threshold)
+
+
+POLICY = RegisteredPolicy(
+    "switchhit",
+    switchhit,
+    PEER,
+    "SwitchHit-style",
+    needs_truth="of routes to learn from",
+    colour="#B15928",
+    marker="X",
+)

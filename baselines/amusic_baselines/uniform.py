@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_baselines.arguments import IDLE, required
+from amusic_baselines.arguments import required
 from amusic_gym.policies.protocol import Context, Needs
+from amusic_gym.policies.registry import IDLE, RANDOM, RegisteredPolicy
 
 FORM = "P[/idle]"
 
@@ -54,3 +55,19 @@ def uniform(argument: str | None, context: Context) -> Uniform:
     if not 0.0 <= probability <= 1.0:
         raise ValueError(f"random:{text}: {share!r} is no probability; give a number in [0, 1]")
     return Uniform(probability, context.seed, idle=bool(slash))
+
+
+def _label(argument: str) -> str:
+    return f"random, p = {argument.replace('/idle', ', may idle')}"
+
+
+POLICY = RegisteredPolicy(
+    "random",
+    uniform,
+    RANDOM,
+    label_of=_label,
+    colour="#999999",
+    marker="v",
+    draws=True,
+    may_idle=True,
+)

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_baselines.arguments import IDLE, number
+from amusic_baselines.arguments import number
 from amusic_baselines.costs import cost_shares
 from amusic_gym.policies.protocol import Context, Needs
+from amusic_gym.policies.registry import IDLE, VOI, RegisteredPolicy
 
 KEEP = 0.9
 """Share of a technique's record that is left after each further run."""
@@ -160,3 +161,25 @@ def voi(argument: str | None, context: Context) -> ValueOfInformation:
     if slash and word != IDLE:
         raise ValueError(f"voi:{argument} is not of the form voi:{FORM}; write it so")
     return ValueOfInformation(number("voi", argument, "LAMBDA", weight, 0.0), idle=bool(slash))
+
+
+LABEL = "value of information"
+
+
+def _label(argument: str) -> str:
+    """For a reader: "0.15/idle" -> "value of information, fixed λ 0.15, may idle"."""
+    parts = ("may idle" if part == IDLE else f"fixed λ {part}" for part in argument.split("/"))
+    return ", ".join([LABEL, *parts])
+
+
+POLICY = RegisteredPolicy(
+    "voi",
+    voi,
+    VOI,
+    LABEL,
+    label_of=_label,
+    colour="#005A32",
+    marker="D",
+    may_idle=True,
+    reads_weight=lambda argument: argument in ("", IDLE),
+)

@@ -73,7 +73,7 @@ class SICState(Table):
     places: NDArray[np.int32] = array(np.int32, "routes", "slots", "replayed")
     predictions: NDArray[np.int32] = array(np.int32, "routes", "replayed")
     values: NDArray[np.float64] = array(np.float64, "slots", "values", kept=False)
-    carried: NDArray[np.int64] = array(np.int64, "slots", "carried", kept=False)
+    carried: NDArray[np.int32] = array(np.int32, "slots", "carried", kept=False)
 
 
 state_at: Any = reader(SICState)

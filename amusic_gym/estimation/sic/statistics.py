@@ -19,7 +19,7 @@ from amusic_gym.banks.rows import (
 )
 from amusic_gym.estimation.prediction import first_near
 from amusic_gym.estimation.sic.state import CARRIED, LIVE, SICState, SumsState
-from amusic_gym.kernels.compiling import compiled, inner
+from amusic_gym.kernels.compiling import apart, compiled, inner
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.int32]
@@ -76,7 +76,7 @@ def z_of(run: Run, frame: int, place: int) -> float:
     return z
 
 
-@inner
+@apart
 def with_waiting(total: float, mark: SumsState, run: Run, frame: int, place: int) -> float:
     """The sum of a place at ``frame`` with what the rows that wait will change of it."""
     for k in range(mark.waiting):
@@ -143,7 +143,7 @@ def score_places(
 
 
 @inner
-def candidate_at(top: Places, carried: NDArray[np.int64], rank: int) -> int:
+def candidate_at(top: Places, carried: Places, rank: int) -> int:
     """Place of a candidate: the top K of the row come first, then those carried on, −1 for none."""
     place: int = top[rank] if rank < top.size else carried[rank - top.size]
     return place
@@ -189,9 +189,7 @@ def value_beyond(values: Floats, top: Places, rank: int, place: int, tolerance: 
 
 
 @inner
-def best_rival(
-    values: Floats, top: Places, carried: NDArray[np.int64], place: int, tolerance: int
-) -> float:
+def best_rival(values: Floats, top: Places, carried: Places, place: int, tolerance: int) -> float:
     """Highest statistic of the candidates beyond ``tolerance`` of ``place``; −∞ if there are none.
 
     In four lanes: comparisons of one chain wait for each other.

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.evaluation import metrics
+from amusic_gym.evaluation.audit import held
 from amusic_gym.evaluation.plots import labels
 from amusic_gym.evaluation.plots.drawing import GREY, INK, figure_at, only, percent
+from amusic_gym.policies.registry import parse
 from amusic_gym.utils.colours import CORRECT_COLOUR, WRONG_COLOUR, technique_colours, tint
 
 if TYPE_CHECKING:
     from amusic_gym.policies.trace import Trace
-
-LINES = {"raw": ":", "subset": "--"}  # policy -> line style, solid for all others
 
 
 def precision_recall(traces: Sequence[Trace], path: str | Path) -> Path:
@@ -33,14 +33,15 @@ def precision_recall(traces: Sequence[Trace], path: str | Path) -> Path:
         drawn = []
         for trace in traces:
             precision, recall = metrics.curve(trace)
-            kind = trace.policy.partition(":")[0]
+            named = parse(trace.policy)
+            plain = named.policy.colour is None
             (line,) = axes.plot(
                 recall,
                 precision,
                 color=colours[_identity(trace)],
-                linestyle="--" if labels.is_variant(trace.policy) else LINES.get(kind, "-"),
-                linewidth=1.3 if kind in (*labels.FIXED, "raw") else 2.2,
-                zorder=2.5 if kind in (*labels.FIXED, "raw") else 3.0,
+                linestyle="--" if named.is_variant else named.policy.line,
+                linewidth=1.3 if plain else 2.2,
+                zorder=2.5 if plain else 3.0,
                 marker="o",
                 markersize=4.5,
                 markevery=[recall.size - 1],
@@ -70,17 +71,25 @@ def reliability(
     Raises:
         ValueError: no frame of any trace has an estimate.
     """
-    correct, estimate = _pooled(traces)
+    from scipy.stats import binomtest
+
+    correct, estimate = held(*traces) if traces else (np.zeros(0, bool), np.zeros(0))
+    if not estimate.size:
+        raise ValueError("no trace holds an estimate of correctness; give traces with p_correct")
     table = metrics.reliability(correct, estimate, bins)
-    held = table.counts > 0
-    low, high = _wilson(table.observed[held], table.counts[held])
+    filled = table.counts > 0
+    predicted, observed, counts = (part[filled] for part in table)
+    hits = np.rint(observed * counts).astype(int)
+    ends = [
+        binomtest(int(k), int(n)).proportion_ci(method="wilson")
+        for k, n in zip(hits, counts, strict=True)
+    ]
     with figure_at(path, 5.6, 6.2) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
         upper.plot([0, 1], [0, 1], color=GREY, linestyle="--", linewidth=1, label="perfect")
-        upper.vlines(table.predicted[held], low, high, color="#0072B2", linewidth=1.2, alpha=0.6)
-        upper.plot(
-            table.predicted[held], table.observed[held], "o-", color="#0072B2", label="observed"
-        )
+        low, high = zip(*ends, strict=True)
+        upper.vlines(predicted, low, high, color="#0072B2", linewidth=1.2, alpha=0.6)
+        upper.plot(predicted, observed, "o-", color="#0072B2", label="observed")
         upper.set(ylabel="Share of frames that are correct", ylim=(-0.02, 1.02), xlim=(-0.02, 1.02))
         upper.set_title("SIC-estimated correctness against the truth", pad=20)
         quality = _quality(correct, estimate, bins)
@@ -116,29 +125,16 @@ def _curve_colours(traces: Sequence[Trace]) -> dict[tuple[str, float | None], An
     sweeps = {policy: labels.sweep_colour(i) for i, policy in enumerate(swept)}
     colours: dict[tuple[str, float | None], Any] = {}
     for trace in traces:
-        kind, _, name = trace.policy.partition(":")
+        policy, argument = parse(trace.policy)
         if trace.compute_weight is not None:
             weights = sorted(
                 w for p, w in map(_identity, traces) if p == trace.policy and w is not None
             )
             place = np.searchsorted(weights, trace.compute_weight) / max(1, len(weights) - 1)
             colours[_identity(trace)] = tint(sweeps[trace.policy], 0.45 + 0.55 * float(place))
-        elif kind in ("raw", "single") and name in techniques:
-            colours[_identity(trace)] = techniques[name]
         else:
-            plain = GREY if kind == "subset" else labels.policy_mark(trace.policy)[0]
-            colours[_identity(trace)] = plain
+            colours[_identity(trace)] = policy.colour or techniques.get(argument or "", GREY)
     return colours
-
-
-def _pooled(traces: Sequence[Trace]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    given = [(t.correct, t.p_correct) for t in traces]
-    if not given or all(np.isnan(p).all() for _, p in given):
-        raise ValueError("no trace holds an estimate of correctness; give traces with p_correct")
-    correct = np.concatenate([c for c, _ in given])
-    estimate = np.concatenate([p for _, p in given])
-    held = ~np.isnan(estimate)
-    return correct[held], estimate[held]
 
 
 def _quality(correct: NDArray[np.bool_], estimate: NDArray[np.float64], bins: int) -> str:
@@ -150,14 +146,3 @@ def _quality(correct: NDArray[np.bool_], estimate: NDArray[np.float64], bins: in
         f"{correct.size} frames",
     )
     return "  ·  ".join(words)
-
-
-def _wilson(
-    share: NDArray[np.float64], counts: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """95 % score interval of a share: unlike the normal one, honest near 0 and 1."""
-    z = 1.959964
-    middle = (share + z * z / (2 * counts)) / (1 + z * z / counts)
-    spread = z * np.sqrt(share * (1 - share) / counts + (z / (2 * counts)) ** 2)
-    half = spread / (1 + z * z / counts)
-    return np.maximum(middle - half, 0.0), np.minimum(middle + half, 1.0)

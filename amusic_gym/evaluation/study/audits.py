@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from amusic_gym.evaluation.audit import Audit, parting
-from amusic_gym.evaluation.study.cells import BOUND, LEARNED, NAMES, front_of
+from amusic_gym.evaluation.study.cells import CONDITIONS
 from amusic_gym.evaluation.study.run import Row
+from amusic_gym.policies.registry import BOUND, LEARNED, front_of
 
 
 def audit_rows(cells: Sequence[Row]) -> list[tuple[Row, str | None]]:
@@ -50,7 +51,7 @@ def _audited(
         "calibration_error": float(np.mean(errors)),
         "greatest_calibration_error": max(errors),
     }
-    return row, parting(f"{name} on {route}, {NAMES[condition]}", audits, above_only=True)
+    return row, parting(f"{name} on {route}, {CONDITIONS[condition]}", audits, above_only=True)
 
 
 def _audit(cell: Row) -> Audit:

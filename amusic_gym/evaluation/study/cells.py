@@ -10,7 +10,6 @@ from typing import Any
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.evaluation import metrics
 from amusic_gym.evaluation.audit import audit
-from amusic_gym.evaluation.comparison import Contestant
 from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.extraction.shards import Advance, nothing
 from amusic_gym.policies.protocol import Context, Policy
@@ -19,74 +18,23 @@ from amusic_gym.routes.retime import retime
 from amusic_gym.utils.threads import alone
 
 RECORDED, RETIMED = "recorded", "retimed"
-CONDITIONS = (RECORDED, RETIMED)
-"""The route as it was recorded, or driven through with stops, other speeds and jumps."""
-
-NAMES = {RECORDED: "as recorded", RETIMED: "re-timed"}
-"""The conditions in words."""
-
-FIXED, CASCADE, AMUSIC, LEARNED = "fixed", "cascade", "amusic", "learned"
-PERIODIC, VOI = "periodic", "voi"
-RANDOM, IDLE = "random", "idle"
-PEER, BOUND, VARIANT = "peer", "bound", "variant"
-FAMILIES = (FIXED, CASCADE, AMUSIC, PERIODIC, VOI, RANDOM, IDLE, LEARNED, PEER, BOUND, VARIANT)
-"""What an entrant is to the fronts: see :class:`Entrant`."""
-
-FRONTS = {
-    **{FIXED: "fixed subsets", CASCADE: "cascade", AMUSIC: "A-MuSIC"},
-    **{PERIODIC: "periodic", VOI: "value of information"},
-    **{RANDOM: "random", IDLE: "may idle"},
-}
-"""Families whose policies make one front together, and its name; others have one each."""
+CONDITIONS = {RECORDED: "as recorded", RETIMED: "re-timed"}
+"""The route as it was recorded, or driven through with stops, other speeds and jumps; in words."""
 
 Measures = dict[str, Any]
 
 
-def front_of(policy: str, family: str) -> str | None:
-    """What the front is called that an entrant is part of; None: of none."""
-    return None if family == VARIANT else FRONTS.get(family, policy)
-
-
-@dataclass(frozen=True)
-class Entrant:
-    """A policy of a study, or several runs of one training, which are its seeds.
-
-    Attributes:
-        name: in tables.
-        family: of `FAMILIES`: ``fixed`` subsets, ``cascade`` rules, ``amusic``, ``periodic``
-            rules, ``voi`` (value of information), ``random`` choice, ``idle``: any rule under which
-            nothing may run on a frame; ``learned`` selectors, ``peer`` policies, a ``bound`` that
-            no robot could run, or ``variant``: a policy under another statistic, for ablations; in
-            no front.
-        contestants: one, or one for each seed. What makes them must pickle.
-        statistic: SIC's, if it is not the study's.
-        draws: whether the policy draws: then it has a cell per seed even as recorded.
-        needs_truth: of what it needs ground truth, if it does; tables say so.
-    """
-
-    name: str
-    family: str
-    contestants: tuple[Contestant, ...]
-    statistic: str | None = None
-    draws: bool = False
-    needs_truth: str = ""
-
-
 class Bench:
-    """What a worker holds to run cells: the recordings, and what makes the policies.
+    """What a worker holds to run cells.
 
     Args:
         banks: the recordings.
-        makers: build a policy, afresh for every cell; module-level functions or partials of such.
     """
 
     name = "study"  # as executors call what they hand to their workers
 
-    def __init__(
-        self, banks: Sequence[ScoreBank], makers: Sequence[Callable[[Context], Policy]]
-    ) -> None:
+    def __init__(self, banks: Sequence[ScoreBank]) -> None:
         self.banks = tuple(banks)
-        self.makers = tuple(makers)
         self._last: tuple[tuple[int, int], ScoreBank] | None = None
 
     def route(self, bank: int, retiming: int | None) -> ScoreBank:
@@ -98,7 +46,7 @@ class Bench:
         return self._last[1]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Bench, (self.banks, self.makers)
+        return Bench, (self.banks,)
 
 
 @dataclass(frozen=True)
@@ -109,10 +57,8 @@ class Cell:
         path: stem of the file that keeps its numbers; changes with all that may change them.
         labels: what it is, for tables: see `LABELS`.
         bank: index in the bench.
-        maker: index in the bench.
-        statistic: SIC's, of policies that do not bring their own.
-        carry: whether places are carried on as candidates, likewise.
-        discount: whether MuSIC discounts alike rows, likewise.
+        make: builds the policy; a function of a module, or a partial of one.
+        chosen: ``statistic``, ``carry`` and ``discount`` of a policy that does not bring its own.
         retiming: seed of the re-timing; None: as recorded.
         seed: for policies that draw.
         size: frames.
@@ -121,10 +67,8 @@ class Cell:
     path: str
     labels: Mapping[str, Any]
     bank: int
-    maker: int
-    statistic: str
-    carry: bool | None
-    discount: bool | None
+    make: Callable[[Context], Policy]
+    chosen: Mapping[str, Any]
     retiming: int | None
     seed: int
     size: int
@@ -153,15 +97,12 @@ class Cell:
 
     def _play(self, bench: Bench) -> Trace:
         bank = bench.route(self.bank, self.retiming)
-        chosen: dict[str, Any] = {
-            name: getattr(self, name) for name in ("statistic", "carry", "discount")
-        }
         return rollout(
-            bench.makers[self.maker](Context.of(bank, seed=self.seed, **chosen)),
+            self.make(Context.of(bank, seed=self.seed, **self.chosen)),
             bank,
             name=self.labels["policy"],
             compute_weight=self.labels["compute_weight"],
-            **chosen,
+            **self.chosen,
         )
 
 
@@ -177,13 +118,10 @@ LABELS = (
     "carry",
     "costs",
 )
-"""``bank``, ``policy``, ``compute_weight``, ``statistic``, ``carry``, ``costs`` as in
-``results.json``;
-``member``: which contestant of the entrant."""
+"""As in ``results.json``; ``member``: which contestant of the entrant."""
 
 AUDITED = ("p_correct", "gap", "auroc", "calibration_error")
 """Of p̂ over a cell's frames: its mean, its mean minus the accuracy, and its quality."""
-
 
 MEASURED = ("queries", *metrics.AVERAGED, *AUDITED)
 """A cell's numbers."""

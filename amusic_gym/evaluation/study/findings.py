@@ -12,9 +12,8 @@ import numpy as np
 
 from amusic_gym import __version__
 from amusic_gym.evaluation import bounds, metrics
-from amusic_gym.evaluation.study import cells as kinds
 from amusic_gym.evaluation.study.audits import audit_rows
-from amusic_gym.evaluation.study.cells import AUDITED, front_of
+from amusic_gym.evaluation.study.cells import AUDITED
 from amusic_gym.evaluation.study.field import BOTH, LEVEL, REPLICATES, SEEDS, Field, Point, interval
 from amusic_gym.evaluation.study.fronts import (
     BAND,
@@ -27,6 +26,7 @@ from amusic_gym.evaluation.study.fronts import (
 )
 from amusic_gym.evaluation.study.plan import MEAN, Plan
 from amusic_gym.evaluation.study.run import Finished, Row
+from amusic_gym.policies.registry import FIXED, FRONTS, LEARNED, front_of
 from amusic_gym.utils.storage import write_whole
 
 RESULTS = "study.json"
@@ -83,88 +83,71 @@ def find(plan: Plan, finished: Finished, *, rivals: Iterable[str] = ()) -> Findi
         plan: of the study.
         finished: all its cells.
         rivals: names of learned selectors that the others must beat, for example an imitation of
-            the cascade; the families of `kinds.FRONTS` are rivals anyway.
+            the cascade; the families of `FRONTS` are rivals anyway.
     """
     rivals = tuple(rivals)
-    points: list[Row] = []
-    fronts: list[Row] = []
-    margins: list[Row] = []
-    matches: list[Row] = []
     names = [route["bank"] for route in plan.routes]
-    for condition in plan.conditions:
+    scopes = []
+    for condition in plan.settings["conditions"]:
         here = [cell for cell in finished if cell["condition"] == condition]
-        field = Field.of(here, names, len(plan.seeds))
-        rows = _route_rows(here, names)
+        field = Field.of(here, names, len(plan.settings["seeds"]))
+        left_out = ("seed", "member", *AUDITED)
+        plain = [{key: cell[key] for key in cell if key not in left_out} for cell in here]
+        rows = metrics.mean_rows(plain, key=("bank", *metrics.MEAN_KEY))  # over seeds
         for route in [*names, *([MEAN] if len(names) > 1 else [])]:
-            scope = _Scope(condition, route, field.at(None if route == MEAN else route), plan)
-            points += scope.points(rows)
-            fronts += scope.fronts()
-            margins += scope.margins(rivals)
-            matches += scope.matches(rivals)
+            scopes.append(_Scope(condition, route, field, rows, plan.routes, rivals))
     audits = audit_rows(finished)
     return Findings(
-        settings=_settings(plan, rivals),
+        settings={
+            **plan.settings,
+            "rivals": list(rivals),
+            "interval": {"level": LEVEL, "replicates": REPLICATES},
+            "hypervolume": {"auc": REFERENCE_AUC, "compute": 1.0},
+            "grid": GRID.tolist(),
+            "band": list(BAND),
+        },
         routes=list(plan.routes),
         cells=finished,
-        points=points,
-        fronts=fronts,
-        margins=margins,
-        matches=matches,
+        points=[row for scope in scopes for row in scope.points()],
+        fronts=[row for scope in scopes for row in scope.fronts()],
+        margins=[row for scope in scopes for row in scope.margins()],
+        matches=[row for scope in scopes for row in scope.matches()],
         audit=[row for row, _ in audits],
         warnings=[line for _, line in audits if line is not None],
     )
 
 
-def _settings(plan: Plan, rivals: Sequence[str]) -> Row:
-    return {
-        "conditions": list(plan.conditions),
-        "seeds": list(plan.seeds),
-        "statistic": plan.statistic,
-        "carry": plan.carry,
-        "discount": plan.discount,
-        "costs": plan.costs,
-        "rivals": list(rivals),
-        "needs_truth": dict(plan.needs_truth),
-        "interval": {"level": LEVEL, "replicates": REPLICATES},
-        "hypervolume": {"auc": REFERENCE_AUC, "compute": 1.0},
-        "grid": GRID.tolist(),
-        "band": list(BAND),
-    }
-
-
 # ---- points, fronts, margins -----------------------------------------------------------------
 
 
-def _route_rows(cells: Sequence[Row], routes: Sequence[str]) -> list[Row]:
-    """Per route the mean over seeds of every policy and λ: rows as in ``results.json``."""
-    left_out = ("seed", "member", *AUDITED)
-    rows = []
-    for route in routes:
-        there = [
-            {key: value for key, value in cell.items() if key not in left_out}
-            for cell in cells
-            if cell["bank"] == route
-        ]
-        rows += [{**mean, "bank": route} for mean in metrics.mean_rows(there)]
-    return rows
-
-
 class _Scope:
-    """The field of one condition, on one route or over all."""
+    """The field of one condition, on one route or over all, and the rows of that condition."""
 
-    def __init__(self, condition: str, route: str, field: Field, plan: Plan) -> None:
+    def __init__(
+        self,
+        condition: str,
+        route: str,
+        field: Field,
+        rows: Sequence[Row],
+        routes: Sequence[Row],
+        rivals: Sequence[str],
+    ) -> None:
         self.labels = {"condition": condition, "bank": route}
-        self.field = field
-        shares = [each["cheapest"] for each in plan.routes if route in (MEAN, each["bank"])]
+        self.field = field.at(None if route == MEAN else route)
+        self.rows = rows
+        self.standing = (*FRONTS.values(), *rivals)  # fronts to beat
+        shares = [each["cheapest"] for each in routes if route in (MEAN, each["bank"])]
         self.cheapest = float(np.mean(shares))
         self.over = BOTH if route == MEAN else SEEDS
 
-    def points(self, rows: Sequence[Row]) -> list[Row]:
+    def points(self) -> list[Row]:
         """A row for every point: means, intervals, and for the mean the gap that it closes."""
         names = self.field.routes
-        there = [row for row in rows if row["bank"] in names and _point(row) in self.field.points]
+        there = [
+            row for row in self.rows if row["bank"] in names and _point(row) in self.field.points
+        ]
         means = {_point(row): row for row in metrics.mean_rows(there)}
-        fixed = [row for row in there if row["family"] == kinds.FIXED]
+        fixed = [row for row in there if row["family"] == FIXED]
         intervals = self._intervals(self.over)
         by_seed = self._intervals(SEEDS)
         return [
@@ -176,7 +159,7 @@ class _Scope:
                 "compute_interval": intervals["compute"][p],
                 "interval_over": self.over,
                 "auc_interval_seeds": by_seed["auc"][p],
-                "gap_closed": None if point.family == kinds.FIXED else _gap(means[point], fixed),
+                "gap_closed": None if point.family == FIXED else _gap(means[point], fixed),
             }
             for p, point in enumerate(self.field.points)
         ]
@@ -223,11 +206,10 @@ class _Scope:
             )
         return rows
 
-    def margins(self, rivals: Sequence[str]) -> list[Row]:
+    def margins(self) -> list[Row]:
         """Rows for every learned selector: its front minus that of each rival, and of all."""
-        there = self.sides()
-        learned = [p.policy for p in self.field.points if p.family == kinds.LEARNED]
-        standing = [name for name in there if name in (*kinds.FRONTS.values(), *rivals)]
+        learned = [p.policy for p in self.field.points if p.family == LEARNED]
+        standing = [name for name in self.sides() if name in self.standing]
         rows = []
         for name in dict.fromkeys(learned):
             others = [other for other in standing if other != name]
@@ -237,7 +219,7 @@ class _Scope:
             rows += [self._margin(name, rival, group) for rival, group in groups.items()]
         return rows
 
-    def matches(self, rivals: Sequence[str]) -> list[Row]:
+    def matches(self) -> list[Row]:
         """Rows for every point of a learned selector, one for each kind of rival in the field.
 
         The rival is chosen as if one had known beforehand which is best here: a head start for it.
@@ -245,15 +227,14 @@ class _Scope:
         """
         points = self.field.points
         fronts = [front_of(point.policy, point.family) for point in points]
-        standing = (*kinds.FRONTS.values(), *rivals)
         compute, auc = self.field.means()
         varied, copies = self.field.resampled(self.over), self.field.replicates(self.over)[1]
         rows = []
         for p, point in enumerate(points):
-            if point.family != kinds.LEARNED:
+            if point.family != LEARNED:
                 continue
             cheap = compute <= compute[p] * (1.0 + ROUNDING)
-            for name in dict.fromkeys(name for name in fronts if name in standing):
+            for name in dict.fromkeys(name for name in fronts if name in self.standing):
                 if name == fronts[p]:
                     continue
                 affordable = cheap & np.array([front == name for front in fronts])

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from amusic_gym import __version__
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.estimation.settings import SICSettings
-from amusic_gym.evaluation import comparison_files
-from amusic_gym.evaluation.comparison import Contestant, check_banks, distinct
-from amusic_gym.evaluation.study import store
-from amusic_gym.evaluation.study.cells import (
-    CONDITIONS,
-    FAMILIES,
-    FRONTS,
-    LABELS,
-    RETIMED,
-    Bench,
-    Cell,
-    Entrant,
-)
-from amusic_gym.policies.protocol import Context, Correction, Policy
+from amusic_gym.evaluation import store
+from amusic_gym.evaluation.comparison import check_banks, distinct
+from amusic_gym.evaluation.contestants import Contestant
+from amusic_gym.evaluation.study import cells as measuring
+from amusic_gym.evaluation.study.cells import CONDITIONS, LABELS, RETIMED, Bench, Cell
+from amusic_gym.policies.protocol import Context, Correction
+from amusic_gym.policies.registry import FAMILIES, FRONTS
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import suggest
 
@@ -36,33 +30,45 @@ MEAN = "mean"
 
 
 @dataclass(frozen=True)
+class Entrant:
+    """A policy of a study, or several runs of one training, which are its seeds.
+
+    Attributes:
+        name: in tables.
+        family: of `FAMILIES`.
+        contestants: one, or one for each seed. What makes them must pickle.
+        statistic: SIC's, if it is not the study's.
+        draws: whether the policy draws: then it has a cell per seed even as recorded.
+        needs_truth: of what it needs ground truth, if it does; tables say so.
+    """
+
+    name: str
+    family: str
+    contestants: tuple[Contestant, ...]
+    statistic: str | None = None
+    draws: bool = False
+    needs_truth: str = ""
+
+
+@dataclass(frozen=True)
 class Plan:
     """All that a study has to do.
 
     Attributes:
-        bench: the recordings and makers of policies, for workers.
+        bench: the recordings, for workers.
         cells: in the order of tables: routes, conditions, seeds, policies.
         routes: of each recording ``bank`` (its name), ``queries``, ``references``, ``techniques``,
             ``seconds`` and ``cheapest``, the least compute of a policy that always runs one.
-        seeds: of re-timing, of policies that draw, and numbers of trainings.
-        conditions: of `CONDITIONS`.
-        statistic: SIC's, of policies that do not bring their own.
-        carry: whether places are carried on as candidates, likewise; None: as the statistic has it.
-        discount: whether MuSIC discounts alike rows, likewise; None: as the statistic has it.
-        costs: name of the cost model.
-        needs_truth: name of an entrant → of what it needs ground truth.
+        settings: ``conditions``; ``seeds`` of re-timing, of policies that draw, and numbers of
+            trainings; ``statistic``, ``carry`` and ``discount`` of policies that do not bring their
+            own; ``costs``, the cost model; ``needs_truth``: name of an entrant → of what it needs
+            ground truth.
     """
 
     bench: Bench
     cells: tuple[Cell, ...]
     routes: tuple[dict[str, Any], ...]
-    seeds: tuple[int, ...]
-    conditions: tuple[str, ...]
-    statistic: str
-    carry: bool | None
-    discount: bool | None
-    costs: str
-    needs_truth: dict[str, str]
+    settings: dict[str, Any]
 
 
 def make_plan(
@@ -73,7 +79,7 @@ def make_plan(
     carry: bool | None = None,
     discount: bool | None = None,
     seeds: Sequence[int] = range(SEED_COUNT),
-    conditions: Sequence[str] = CONDITIONS,
+    conditions: Collection[str] = CONDITIONS,
 ) -> Plan:
     """The cells of every entrant on every bank.
 
@@ -98,27 +104,32 @@ def make_plan(
     check_banks(banks)
     numbers = _check(seeds, conditions)
     names = distinct([bank.name or "bank" for bank in banks], taken=(MEAN,))
-    chosen = {"carry": carry, "discount": discount}
-    planner = _Planner(statistic, chosen, numbers, tuple(dict.fromkeys(conditions)))
+    chosen = {"statistic": statistic, "carry": carry, "discount": discount}
+    planner = _Planner(chosen, numbers, tuple(dict.fromkeys(conditions)))
+    needs_truth: dict[str, str] = {}
+    planned: list[Cell] = []
     for number, (bank, name) in enumerate(zip(banks, names, strict=True)):
-        planner.add(number, bank, name, entrants(bank))
-    if not planner.cells:
+        given = list(dict.fromkeys(entrants(bank)))
+        _check_names([entrant.name for entrant in given])
+        needs_truth |= {each.name: each.needs_truth for each in given if each.needs_truth}
+        planned += planner.cells(number, bank, name, given)
+    if not planned:
         raise ValueError("no policy to study; give at least one")
     return Plan(
-        bench=Bench(banks, planner.makers),
-        cells=tuple(planner.cells),
+        bench=Bench(banks),
+        cells=tuple(planned),
         routes=tuple(_route(*each) for each in zip(banks, names, strict=True)),
-        seeds=numbers,
-        conditions=planner.conditions,
-        statistic=statistic,
-        carry=carry,
-        discount=discount,
-        costs=banks[0].costs,
-        needs_truth=planner.needs_truth,
+        settings={
+            "conditions": list(planner.conditions),
+            "seeds": list(numbers),
+            **chosen,
+            "costs": banks[0].costs,
+            "needs_truth": needs_truth,
+        },
     )
 
 
-def _check(seeds: Sequence[int], conditions: Sequence[str]) -> tuple[int, ...]:
+def _check(seeds: Sequence[int], conditions: Collection[str]) -> tuple[int, ...]:
     numbers = tuple(whole("seed", seed, 0) for seed in seeds)
     if not numbers or len(set(numbers)) < len(numbers):
         raise ValueError(f"seeds are {list(numbers)}; give at least one, each once")
@@ -142,44 +153,26 @@ def _route(bank: ScoreBank, name: str) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class _Site:
-    """One recording in its place among all."""
-
-    number: int
-    bank: ScoreBank
-    name: str
-    identity: str  # digest of what it holds
-
-
 class _Planner:
-    """Collects cells, bank by bank."""
+    """What all banks of a study share."""
 
-    def __init__(
-        self,
-        statistic: str,
-        chosen: dict[str, bool | None],
-        seeds: tuple[int, ...],
-        conditions: tuple[str, ...],
-    ) -> None:
-        self.statistic = statistic
-        self.chosen = chosen  # carry and discount
-        self.seeds = seeds
-        self.conditions = conditions
-        self.cells: list[Cell] = []
-        self.makers: list[Callable[[Context], Policy]] = []
-        self.needs_truth: dict[str, str] = {}
-        self._maker: dict[tuple[str, str], int] = {}
-        self._code = store.code()
+    chosen: dict[str, Any]  # statistic, carry and discount, of policies that do not bring theirs
+    seeds: tuple[int, ...]
+    conditions: tuple[str, ...]
 
-    def add(self, number: int, bank: ScoreBank, name: str, entrants: Sequence[Entrant]) -> None:
+    def cells(
+        self, number: int, bank: ScoreBank, name: str, entrants: Sequence[Entrant]
+    ) -> list[Cell]:
         """The cells of one bank, those of one condition and seed together."""
-        given = list(dict.fromkeys(entrants))
-        _check_names([entrant.name for entrant in given])
-        self.needs_truth |= {each.name: each.needs_truth for each in given if each.needs_truth}
-        jobs = [job for entrant in given for job in self._jobs(bank, entrant)]
-        site = _Site(number, bank, name, comparison_files.bank_identity(bank))
-        self.cells += [
-            self._cell(site, job, condition, at)
+        shared = {
+            "bank": store.bank_identity(bank),
+            "costs": bank.costs,
+            "code": store.code_digest(Path(measuring.__file__)),
+            "version": __version__,
+        }
+        jobs = [job for entrant in entrants for job in self._jobs(bank, entrant)]
+        return [
+            self._cell(shared, job, condition, at, bank=number, name=name, size=bank.queries)
             for condition in self.conditions
             for at in range(len(self.seeds))
             for job in jobs
@@ -189,68 +182,61 @@ class _Planner:
     def _jobs(self, bank: ScoreBank, entrant: Entrant) -> list[_Job]:
         """One per λ; builds every policy once to see that it can be built."""
         _check_entrant(entrant, len(self.seeds))
-        statistic = entrant.statistic or self.statistic
-        context = Context.of(bank, statistic=statistic, seed=self.seeds[0], **self.chosen)
+        chosen = self.chosen | ({"statistic": entrant.statistic} if entrant.statistic else {})
+        context = Context.of(bank, seed=self.seeds[0], **chosen)
         for contestant in entrant.contestants:
             policy = contestant.make(context)
-            own = Correction.under(policy, statistic, **self.chosen)
+            own = Correction.under(policy, **chosen)
             if entrant.statistic not in (None, own.statistic):
                 raise ValueError(
                     f"{entrant.name}: the policy has a statistic of its own, {own.statistic!r}, and"
                     f" takes no other; leave out @{entrant.statistic}"
                 )
         weights = dict.fromkeys(entrant.contestants[0].compute_weights)
-        return [_Job(entrant, statistic, own, weight) for weight in weights]
+        return [_Job(entrant, chosen, own, weight) for weight in weights]
 
-    def _cell(self, site: _Site, job: _Job, condition: str, at: int) -> Cell:
+    def _cell(
+        self,
+        shared: Mapping[str, Any],
+        job: _Job,
+        condition: str,
+        at: int,
+        *,
+        bank: int,
+        name: str,
+        size: int,
+    ) -> Cell:
         entrant, seed = job.entrant, self.seeds[at]
         contestant = entrant.contestants[at % len(entrant.contestants)]
         retiming = seed if condition == RETIMED else None
-        shared = {
-            "condition": condition,
-            "compute_weight": job.weight,
-            "statistic": job.own.statistic,
-            "carry": job.own.carry,
-            "costs": site.bank.costs,
-        }
         key = {
             **shared,
-            "bank": site.identity,
+            **job.own._asdict(),
+            "condition": condition,
+            "compute_weight": job.weight,
             "retiming": retiming,
             "policy": contestant.name,
             "policy_version": contestant.version,
-            "discount": job.own.discount,
             "drawing": seed if entrant.draws else None,
-            "code": self._code,
-            "version": __version__,
         }
         labels = {
-            **shared,
-            "bank": site.name,
+            **key,
+            "bank": name,
             "seed": seed if job.varies(condition) else None,
             "policy": entrant.name,
             "family": entrant.family,
             "member": contestant.name,
         }
         return Cell(
-            path=store.stem(key),
-            labels={name: labels[name] for name in LABELS},
-            bank=site.number,
-            maker=self._maker_of(contestant, job.statistic),
-            statistic=job.statistic,
-            carry=self.chosen["carry"],
-            discount=self.chosen["discount"],
+            path=store.stem_of(key),
+            labels={label: labels[label] for label in LABELS},
+            bank=bank,
+            make=contestant.make,
+            chosen=job.chosen,
             retiming=retiming,
             seed=seed if entrant.draws else self.seeds[0],
-            size=site.bank.queries,
+            size=size,
         )
-
-    def _maker_of(self, contestant: Contestant, statistic: str) -> int:
-        key = contestant.name, statistic
-        if key not in self._maker:
-            self._maker[key] = len(self.makers)
-            self.makers.append(contestant.make)
-        return self._maker[key]
 
 
 @dataclass(frozen=True)
@@ -258,7 +244,9 @@ class _Job:
     """An entrant with one λ."""
 
     entrant: Entrant
-    statistic: str  # SIC's, for a policy that does not bring its own
+    chosen: Mapping[
+        str, Any
+    ]  # statistic, carry, discount, for a policy that does not bring its own
     own: Correction  # what it has in the end
     weight: float | None
 

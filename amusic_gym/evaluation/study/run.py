@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any, cast
 
 from amusic_gym.banks.bank_files import refuse_within_bank
-from amusic_gym.evaluation.study import store
-from amusic_gym.evaluation.study.cells import Cell, Measures
+from amusic_gym.evaluation import store
+from amusic_gym.evaluation.study.cells import MEASURED, Cell, Measures
 from amusic_gym.evaluation.study.plan import Plan
 from amusic_gym.extraction.executors import make_executor
+
+CELLS = "cells"
 
 Row = dict[str, Any]
 
@@ -40,7 +42,7 @@ def run(
         ChildProcessError: when workers die of the same cell again and again.
     """
     where = make_executor(executor)
-    folder = Path(out) / store.FOLDER
+    folder = Path(out) / CELLS
     refuse_within_bank(folder)
     folder.mkdir(parents=True, exist_ok=True)  # fails before hours of work, not after them
     done = _load(plan, folder, report)
@@ -51,7 +53,7 @@ def run(
     # Executors are typed for techniques and arrays; they hold and return whatever pickles.
     with where, cast(Any, where).workers(plan.bench) as workers:
         for cell, measures in workers.run(missing):
-            store.save(folder, cell.path, measures)
+            store.save(folder, cell.path, {"measures": measures})
             done[cell.path] = measures
             progress.tell(cell, measures)
     return [{**cell.labels, **done[cell.path]} for cell in plan.cells]
@@ -61,7 +63,7 @@ def count_finished(
     plan: Plan, out: str | Path, report: Report = print
 ) -> dict[str, tuple[int, int]]:
     """Name of each policy → how many of its cells ``out`` holds, and how many there are."""
-    done = _load(plan, Path(out) / store.FOLDER, report)
+    done = _load(plan, Path(out) / CELLS, report)
     counts: dict[str, tuple[int, int]] = {}
     for cell in plan.cells:
         have, all_of_it = counts.get(cell.labels["policy"], (0, 0))
@@ -74,13 +76,28 @@ def _load(plan: Plan, folder: Path, report: Report) -> dict[str, Measures]:
     done = {}
     for path in dict.fromkeys(cell.path for cell in plan.cells):
         try:
-            measures = store.load(folder, path)
+            measures = load_measures(folder, path)
         except ValueError as error:
             report(f"{error}: computed again")
             continue
         if measures is not None:
             done[path] = measures
     return done
+
+
+def load_measures(folder: Path, stem: str) -> Measures | None:
+    """The numbers of a finished cell; None where there are none.
+
+    Raises:
+        ValueError: when the file is damaged.
+    """
+    if (body := store.load(folder, stem)) is None:
+        return None
+    measures: Measures = body["measures"] if isinstance(body.get("measures"), dict) else {}
+    plain = all(isinstance(value, int | float | None) for value in measures.values())
+    if set(measures) != set(MEASURED) or not plain:
+        raise store.damaged(folder, stem, "it holds other numbers than a cell's")
+    return measures
 
 
 class _Progress:

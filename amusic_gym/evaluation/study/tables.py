@@ -3,60 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from amusic_gym.estimation.settings import statistic_label
 from amusic_gym.evaluation.audit import PARTING
-from amusic_gym.evaluation.marks import footnote, marked
 from amusic_gym.evaluation.plots.labels import policy_label
-from amusic_gym.evaluation.study.cells import FRONTS, NAMES
+from amusic_gym.evaluation.study.cells import CONDITIONS
 from amusic_gym.evaluation.study.findings import SHOWN_COMPUTES, Findings, ahead
 from amusic_gym.evaluation.study.fronts import BAND, ROUNDING
 from amusic_gym.evaluation.study.plan import MEAN
 from amusic_gym.evaluation.study.run import Row
+from amusic_gym.evaluation.tables import Table, footnote, marked
+from amusic_gym.policies.registry import FRONTS
 from amusic_gym.utils.escaping import for_markdown
 from amusic_gym.utils.storage import write_whole
 
 TABLES = "tables.md"
-
-
-@dataclass(frozen=True)
-class Table:
-    """Words in rows; the first ``words`` columns are text, the others numbers."""
-
-    title: str
-    heads: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    note: str = ""
-    words: int = 1
-
-    def text(self) -> str:
-        """For a terminal."""
-        lines = [self.heads, *self.rows]
-        widths = [max(len(line[i]) for line in lines) for i in range(len(self.heads))]
-        shown = [self.title]
-        for line in lines:
-            cells = [
-                cell.ljust(width) if i < self.words else cell.rjust(width)
-                for i, (cell, width) in enumerate(zip(line, widths, strict=True))
-            ]
-            shown.append("  ".join(cells).rstrip())
-        return "\n".join([*shown, *([self.note] if self.note else [])])
-
-    def markdown(self) -> str:
-        """A heading, the table and its note."""
-        ends = [":--" if i < self.words else "--:" for i in range(len(self.heads))]
-        lines = [self.heads, ends, *self.rows]
-        body = "\n".join(f"| {' | '.join(map(for_markdown, line))} |" for line in lines)
-        return "\n\n".join(
-            [
-                f"### {for_markdown(self.title)}",
-                body,
-                *([for_markdown(self.note)] if self.note else []),
-            ]
-        )
 
 
 def tables(findings: Findings) -> list[Table]:
@@ -103,7 +66,7 @@ def _points(findings: Findings, scope: str) -> Table:
             by_key.setdefault(key, {})[row["condition"]] = row
     heads = ["policy", "λ", "SIC"]
     for condition in conditions:
-        heads += [f"AUC {NAMES[condition]}", "95 %", "compute", "accuracy"]
+        heads += [f"AUC {CONDITIONS[condition]}", "95 %", "compute", "accuracy"]
         heads += ["gap closed"] if scope == MEAN else []
     rows = [
         [_marked(findings, policy), "" if weight is None else f"{weight:g}", statistic]
@@ -176,7 +139,7 @@ def _fronts(findings: Findings, condition: str) -> Table:
         "there could be. Policies that always run everything have none and are left out."
     )
     note = _noted(findings, note, [row["front"] for row in shown])
-    return Table(f"Fronts, {NAMES[condition]}", heads, rows, note, words=2)
+    return Table(f"Fronts, {CONDITIONS[condition]}", heads, rows, note, words=2)
 
 
 def _matches(findings: Findings, condition: str, scope: str) -> Table:
@@ -200,7 +163,7 @@ def _matches(findings: Findings, condition: str, scope: str) -> Table:
         start += [_percent(own["compute"]), _three(own["auc"]), _interval(points[policy, weight])]
         rows.append([*start, *(_rival(of.get(kind)) for kind in against)])
     where = f"mean over {len(findings.routes)} routes" if scope == MEAN else scope
-    title = f"The best of each kind at no more compute, {NAMES[condition]}: {where}"
+    title = f"The best of each kind at no more compute, {CONDITIONS[condition]}: {where}"
     note = (
         "Each column: the best AUC of its kind at no more compute than the selector's, and whose "
         "it is. `=`: level with the selector, the 95 % bootstrap interval of the difference holds "
@@ -227,7 +190,7 @@ def _margins(findings: Findings) -> Table:
     rows = [
         [
             row["bank"],
-            NAMES[row["condition"]],
+            CONDITIONS[row["condition"]],
             _marked(findings, row["policy"]),
             _marked(findings, row["rival"]),
             _maybe(row["least"], _signed),
@@ -257,7 +220,7 @@ def _audit(findings: Findings) -> Table:
     rows = [
         [
             _marked(findings, row["front"]),
-            NAMES[row["condition"]],
+            CONDITIONS[row["condition"]],
             row["bank"],
             _three(row["p_correct"]),
             _three(row["accuracy"]),

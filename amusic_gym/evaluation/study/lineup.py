@@ -1,40 +1,16 @@
-"""The entrants of a study: policies as compare.py takes them, and groups of trained selectors."""
+"""The entrants of a study: policies by their names, and groups of trained selectors."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cache, partial
+from dataclasses import dataclass
 from typing import Any
 
-from amusic_gym.cli.contestants import contestants
 from amusic_gym.estimation.settings import STATISTICS
-from amusic_gym.evaluation.comparison import Contestant, all_subsets
-from amusic_gym.evaluation.plots.labels import is_idle
-from amusic_gym.evaluation.study import Entrant
-from amusic_gym.evaluation.study import cells as kinds
-from amusic_gym.policies.protocol import Context, Policy
+from amusic_gym.evaluation.contestants import Contestant, all_subsets, contestants
+from amusic_gym.evaluation.study.plan import Entrant
+from amusic_gym.policies.registry import LEARNED, MAY_IDLE, VARIANT, parse
 from amusic_gym.utils.names import suggest
-
-FAMILIES = {
-    "single": kinds.FIXED,
-    "subset": kinds.FIXED,
-    "music": kinds.FIXED,
-    "cascade": kinds.CASCADE,
-    "amusic": kinds.AMUSIC,
-    "periodic": kinds.PERIODIC,
-    "voi": kinds.VOI,
-    "random": kinds.RANDOM,
-    "oracle": kinds.BOUND,
-}
-"""Kind of a policy → its family, unless it may idle; others are learned if they have λ, and else
-peers."""
-
-DRAWING = ("random",)
-"""Policies that draw."""
-
-
-Insisted = tuple[tuple[str, Any], ...]
 
 
 @dataclass(frozen=True)
@@ -71,28 +47,27 @@ class Lineup:
 
     def _policy(self, spec: str) -> Entrant:
         plain, statistic = split_statistic(spec)
-        kind = plain.partition(":")[0]
+        parsed = parse(plain)
         made = self._contestant(plain, statistic)
-        other = kinds.PEER if made.compute_weights == (None,) else kinds.LEARNED
-        family = kinds.IDLE if is_idle(plain) else FAMILIES.get(kind, other)
+        family = MAY_IDLE if parsed.idles else parsed.policy.family
         return Entrant(
             name=spec,
-            family=kinds.VARIANT if statistic else family,
+            family=VARIANT if statistic else family,
             contestants=(made,),
             statistic=statistic,
-            draws=kind in DRAWING,
+            draws=parsed.policy.draws,
             needs_truth=made.needs_truth,
         )
 
     def _selector(self, name: str, runs: Sequence[str]) -> Entrant:
         made = tuple(self._contestant(run) for run in runs)
         needed = max(each.needs_truth for each in made)  # if any run does
-        return Entrant(name=name, family=kinds.LEARNED, contestants=made, needs_truth=needed)
+        return Entrant(name=name, family=LEARNED, contestants=made, needs_truth=needed)
 
     def _contestant(self, spec: str, statistic: str | None = None) -> Contestant:
         insisted = {**self.insisted, **({"statistic": statistic} if statistic else {})}
         (made,) = contestants([spec], compute_weights=self.compute_weights, **insisted)
-        return replace(made, make=partial(build, spec, tuple(insisted.items())))
+        return made
 
 
 def split_statistic(spec: str) -> tuple[str, str | None]:
@@ -103,22 +78,12 @@ def split_statistic(spec: str) -> tuple[str, str | None]:
     Raises:
         ValueError: for an unknown statistic.
     """
+    policy = parse(spec).policy
     plain, at, statistic = spec.rpartition("@")
-    if plain == "ppo":
+    if policy.name.endswith("@"):
         return spec, None
     if at and statistic in STATISTICS:
         return plain, statistic
-    if at and not spec.startswith("ppo:"):
+    if at and policy.family != LEARNED:
         raise ValueError(f"{spec}: {suggest('statistic', statistic, STATISTICS)}")
     return spec, None
-
-
-def build(spec: str, insisted: Insisted, context: Context) -> Policy:
-    """Build a policy; a function that workers can import."""
-    return _made(spec, insisted).make(context)
-
-
-@cache
-def _made(spec: str, insisted: Insisted) -> Contestant:
-    (made,) = contestants([spec], **dict(insisted))
-    return made

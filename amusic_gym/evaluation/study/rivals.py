@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.cli.study_policies import Lineup
-from amusic_gym.evaluation import study
-from amusic_gym.evaluation.comparison import COMPUTE_WEIGHTS
+from amusic_gym.evaluation.contestants import COMPUTE_WEIGHTS
+from amusic_gym.evaluation.study.findings import Findings, find
+from amusic_gym.evaluation.study.lineup import Lineup
+from amusic_gym.evaluation.study.plan import make_plan
+from amusic_gym.evaluation.study.run import run
 from amusic_gym.evaluation.study.tables import write_markdown
 
 DRAWS = 5
@@ -35,7 +37,7 @@ def rivals(techniques: Sequence[str]) -> list[str]:
 
 def study_rivals(
     banks: Sequence[ScoreBank], selectors: Mapping[str, Sequence[str]], out: Path
-) -> study.Findings:
+) -> Findings:
     """Selectors against all fixed subsets and `rivals`; ``out`` keeps what is finished.
 
     Args:
@@ -50,13 +52,13 @@ def study_rivals(
         insisted={},
         compute_weights=COMPUTE_WEIGHTS,
     )
-    plan = study.make_plan(
+    plan = make_plan(
         banks,
         lambda bank: lineup.entrants(bank.techniques),
         seeds=range(DRAWS),
         conditions=("recorded",),
     )
-    findings = study.find(plan, study.run(plan, out, report=lambda _: None))
+    findings = find(plan, run(plan, out, report=lambda _: None))
     findings.write(out)
     write_markdown(findings, out)
     return findings
