@@ -60,10 +60,8 @@ def read_rows(state: BeliefState, which: int, i: int, frame: int) -> int:
             known.news = 0.0
             for place in range(size):
                 likelihood[place] = 1.0
-        top, joint, windows = top_at(runs[s], frame)[0], state.joint, state.windows
-        single_technique_posterior(
-            known, state.prior, likelihood, top, size, tolerance, joint, windows
-        )
+        top = top_at(runs[s], frame)[0]
+        single_technique_posterior(state, known, s, top, size, tolerance)
     return count
 
 
@@ -132,7 +130,7 @@ def filter_frame(state: BeliefState, which: int, i: int, frame: int) -> None:
         for place in range(size):
             row[place] *= factor[place] / whole
     route.p_steady = total(modes[STEADY], size)
-    marginalise(route, joint, size, tolerance, state.windows)
+    marginalise(state, route, size, tolerance)
     route.log_likelihood = 0.0
     for s in range(state.weights.size):
         if state.batch.ran[i, s, frame]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.estimation.belief.model import ENOUGH, SURE
-from amusic_gym.estimation.belief.state import RouteBelief, TechniqueBelief
+from amusic_gym.estimation.belief.state import BeliefState, RouteBelief, TechniqueBelief
 from amusic_gym.kernels.compiling import apart, inner
 
 
@@ -81,48 +81,33 @@ def log_ratio(share: float, rival: float) -> float:
 
 @apart
 def single_technique_posterior(
-    known: TechniqueBelief,
-    prior: NDArray[np.float64],
-    likelihood: NDArray[np.float64],
-    top: int,
-    size: int,
-    tolerance: int,
-    joint: NDArray[np.float64],
-    windows: NDArray[np.float64],
+    state: BeliefState, known: TechniqueBelief, s: int, top: int, size: int, tolerance: int
 ) -> None:
     """What one technique's row alone makes of the belief: its place, statistic, correction, margin.
 
     Args:
+        state: ``prior`` is the belief before the frame, ``likelihoods[s]`` that of the row.
         known: where they go.
-        prior: (R,) belief before the frame.
-        likelihood: (R,) of the row.
+        s: the technique's slot.
         top: the row's best place.
         size: R.
         tolerance: places off that still count as true.
-        joint: (R,) scratch.
-        windows: (R,) scratch.
     """
+    joint, windows, likelihood = state.joint, state.windows, state.likelihoods[s]
     for place in range(size):
-        joint[place] = prior[place] * likelihood[place]
+        joint[place] = state.prior[place] * likelihood[place]
     whole = window_sums(joint, size, tolerance, windows)
-    best = likeliest(joint, windows, size, tolerance)
-    known.place = best
-    known.statistic = log_odds(windows[best] / whole)
+    known.place = likeliest(joint, windows, size, tolerance)
+    share = windows[known.place] / whole
+    known.statistic = log_odds(share)
     known.correction = max(known.statistic - log_odds(windows[top] / whole), 0.0)
-    rival = rival_window(windows, size, best, tolerance)
-    known.margin = log_ratio(windows[best] / whole, rival / whole)
+    known.margin = log_ratio(share, rival_window(windows, size, known.place, tolerance) / whole)
 
 
 @apart
-def marginalise(
-    route: RouteBelief,
-    joint: NDArray[np.float64],
-    size: int,
-    tolerance: int,
-    windows: NDArray[np.float64],
-) -> None:
-    """Find the place whose window holds most of the belief (R,), and its rival."""
-    whole = window_sums(joint, size, tolerance, windows)
-    route.place = likeliest(joint, windows, size, tolerance)
-    route.share = min(windows[route.place] / whole, 1.0)
-    route.rival = rival_window(windows, size, route.place, tolerance) / whole
+def marginalise(state: BeliefState, route: RouteBelief, size: int, tolerance: int) -> None:
+    """Find the place whose window holds most of the belief, ``joint``, and its rival."""
+    whole = window_sums(state.joint, size, tolerance, state.windows)
+    route.place = likeliest(state.joint, state.windows, size, tolerance)
+    route.share = min(state.windows[route.place] / whole, 1.0)
+    route.rival = rival_window(state.windows, size, route.place, tolerance) / whole

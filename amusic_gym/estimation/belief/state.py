@@ -110,14 +110,9 @@ def copy_rows(source: NDArray[np.float64], target: NDArray[np.float64]) -> None:
 @apart
 def restart(state: BeliefState, i: int) -> None:
     """Make the live set of route ``i`` a copy of the lagged one."""
-    old, new = state.beliefs[LAGGED, i], state.beliefs[LIVE, i]
-    new.frame, new.p_steady = old.frame, old.p_steady
+    state.beliefs[LIVE, i] = state.beliefs[LAGGED, i]
     for s in range(state.techniques.shape[2]):
-        was, now = state.techniques[LAGGED, i, s], state.techniques[LIVE, i, s]
-        now.rows, now.news, now.weight = was.rows, was.news, was.weight
-        now.place = was.place
-        now.statistic, now.correction, now.margin = was.statistic, was.correction, was.margin
-        now.log_likelihood = was.log_likelihood
+        state.techniques[LIVE, i, s] = state.techniques[LAGGED, i, s]
     copy_rows(state.modes[LAGGED, i], state.modes[LIVE, i])
     copy_rows(state.hubs[LAGGED, i], state.hubs[LIVE, i])
     copy_rows(state.variances[LAGGED, i], state.variances[LIVE, i])
