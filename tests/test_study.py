@@ -598,13 +598,10 @@ def made_up(aucs: dict[str, list[tuple[float, float]]], families: dict[str, str]
     """Findings of one route on which every policy has these points (compute, AUC)."""
     plan = SimpleNamespace(
         routes=[{"bank": "a", "queries": 9, "references": 9, "cheapest": 0.1}],
-        conditions=("recorded",),
-        seeds=seeds,
-        statistic="evidence",
-        carry=None,
-        discount=None,
-        costs="runs",
-        needs_truth={},
+        settings={
+            **{"conditions": ["recorded"], "seeds": list(seeds), "costs": "runs"},
+            **{"statistic": "evidence", "carry": None, "discount": None, "needs_truth": {}},
+        },
     )
     shares = ("accuracy", "auc_vprbench", "auc_paper", "ptr", "seconds_per_frame", "reselections")
     numbers = dict.fromkeys(shares, 0.0)
