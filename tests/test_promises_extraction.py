@@ -321,7 +321,7 @@ def command(folder: Path, place: Path, executor: str, **environment: str):
         ],
         env={
             **os.environ,
-            "PYTHONPATH": str(ROOT / "tests"),
+            "PYTHONPATH": str(ROOT / "tests/support"),
             "TEST_LOG": str(place / "log"),
             "TEST_MARKER": str(place / "marker"),
             **environment,

@@ -91,8 +91,8 @@ def test_2_a_copy_of_an_environment_on_a_folder_continues_identically(way, tmp_p
     if way == "another process":
         (tmp_path / "env").write_bytes(pickle.dumps((env, actions[12:])))
         command = [sys.executable, "-W", "error", "-c", CHILD, str(tmp_path / "env")]
-        here = Path(__file__).parent
-        path = {"PYTHONPATH": f"{here}:{here.parent}"}
+        root = Path(__file__).resolve().parent.parent
+        path = {"PYTHONPATH": f"{root / 'tests/support'}:{root}"}
         done = subprocess.run(
             command, env=path, capture_output=True, text=True, check=True, timeout=120
         )

@@ -24,7 +24,7 @@ def bank(*arguments: object, cwd: Path | None = None):
     """`bank.py` in a process of its own."""
     return subprocess.run(
         [sys.executable, "-W", "error", str(ROOT / "scripts" / "bank.py"), *map(str, arguments)],
-        env={**os.environ, "PYTHONPATH": str(ROOT / "tests")},
+        env={**os.environ, "PYTHONPATH": str(ROOT / "tests/support")},
         capture_output=True,
         text=True,
         timeout=120,

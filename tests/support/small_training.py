@@ -22,7 +22,7 @@ from safetensors.torch import load_file
 
 from amusic_gym.evaluation.rollout import Job
 
-SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 SMALL: dict[str, Any] = {
     "n_envs": 4,
     "n_steps": 8,
