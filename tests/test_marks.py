@@ -14,7 +14,7 @@ from amusic_agents.selector import learned_from_truth
 from amusic_agents.shipped import SHIPPED, shipped
 from env_cases import random_bank
 from small_training import SMALL
-from test_study import EVERYBODY, learned, plan_of
+from study_cases import EVERYBODY, learned, plan_of
 
 from amusic_gym.evaluation import study
 from amusic_gym.evaluation.comparison import compare, table

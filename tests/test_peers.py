@@ -26,7 +26,7 @@ from amusic_baselines.scores import best_outside, scaled, standardised
 from amusic_baselines.switchhit import Experience, SwitchHit, simulated
 from env_cases import noisy_bank, random_bank
 from live_cases import pair
-from test_rollout import assert_same
+from rollout_cases import assert_same
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.evaluation.metrics import summarise

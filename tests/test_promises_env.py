@@ -40,11 +40,12 @@ PATHS = (ROOT, ROOT / "tests/support")
 
 def python(code: str, *arguments: object, stdin: bytes = b"") -> str:
     """What ``code`` prints in a process of its own, where warnings are errors."""
+    path = os.pathsep.join(map(str, PATHS))
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", code, *map(str, arguments)],
         input=stdin,
         capture_output=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, PATHS)), "PYTHONHASHSEED": "random"},
+        env={**os.environ, "PYTHONPATH": path, "PYTHONHASHSEED": "random"},
         timeout=300,
         check=False,
     )

@@ -16,8 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from matplotlib.figure import Figure
-from test_rollout import assert_same
-from test_study import learned, plan_of
+from rollout_cases import assert_same
+from study_cases import learned, plan_of
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.observation import TECHNIQUE_FEATURES, observation_size
