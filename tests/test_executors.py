@@ -20,6 +20,8 @@ from amusic_gym.extraction.processes import Processes
 from amusic_gym.utils import threads
 from amusic_gym.utils.threads import alone, one_thread
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parent.parent
 
 

@@ -41,6 +41,8 @@ from amusic_gym.evaluation.metrics import compute
 from amusic_gym.evaluation.rollout import Job, rollout, rollouts
 from amusic_gym.policies.protocol import Needs
 
+pytestmark = pytest.mark.slow
+
 STATISTIC = SICSettings.statistic
 WEIGHTS = (0.1, 1.0)
 

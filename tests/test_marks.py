@@ -25,6 +25,8 @@ from amusic_gym.evaluation.study.lineup import Lineup
 from amusic_gym.evaluation.study.tables import tables
 from amusic_gym.evaluation.tables import Table, footnote, marked
 
+pytestmark = pytest.mark.slow
+
 NEEDS = {"oracle": "of the route itself", "switchhit": "of routes to learn from"}
 
 

@@ -34,6 +34,8 @@ from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.policies.protocol import Context, Localiser
 from amusic_gym.policies.registry import parse
 
+pytestmark = pytest.mark.slow
+
 SPECS = [
     *("raw:T1", "single:T0", "subset:T0+T2", "music", "amusic", "amusic:evidence", "random:0.5"),
     *("cascade", "cascade:1/5/0.4", "cascade:1/3/p=0.9", "cascade:2/5/margin=1.5", "oracle"),

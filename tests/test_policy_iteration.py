@@ -56,6 +56,8 @@ from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation.rollout import rollout
 
+pytestmark = pytest.mark.slow
+
 STATISTIC = SICSettings.statistic
 TRUST = TECHNIQUE_FEATURES.index("trust")
 

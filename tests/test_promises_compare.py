@@ -13,6 +13,8 @@ from script_cases import run_and_stop
 
 from amusic_gym.estimation.settings import SICSettings
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parent.parent
 
 

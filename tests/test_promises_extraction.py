@@ -26,6 +26,8 @@ from amusic_gym.extraction.blocks import Images
 from amusic_gym.extraction.describe import ExtractionPlan
 from amusic_gym.routes.folders import ImageFolder
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parent.parent
 SECONDS = {"Tiny": 0.5}
 COUNT = 3 * BLOCK

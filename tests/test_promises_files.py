@@ -44,6 +44,8 @@ from amusic_gym.extraction.code import key_of
 from amusic_gym.routes.video import VideoWriter
 from amusic_gym.utils import storage
 
+pytestmark = pytest.mark.slow
+
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 
 

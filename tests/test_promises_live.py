@@ -22,6 +22,8 @@ from amusic_gym.extraction.blocks import BLOCK
 from amusic_gym.extraction.map import DescribedMap
 from amusic_gym.live.navigation import navigate
 
+pytestmark = pytest.mark.slow
+
 CHILD = """
 import pickle, sys
 from env_cases import digest

@@ -35,6 +35,8 @@ from amusic_gym.policies.protocol import Context
 from amusic_gym.policies.registry import CASCADE, FRONTS, MAY_IDLE, PEER, PERIODIC, VOI
 from amusic_gym.routes.simulate import planted, simulate
 
+pytestmark = pytest.mark.slow
+
 WEIGHTS = (0.01, 0.05, 0.15, 0.4, 1.0)
 
 

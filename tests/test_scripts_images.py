@@ -16,6 +16,8 @@ from amusic_gym.banks.bank import GroundTruth, ScoreBank
 from amusic_gym.extraction import BLOCK
 from amusic_gym.routes.images import read_image
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parent.parent
 COUNT = BLOCK + 2
 

@@ -34,6 +34,8 @@ from amusic_gym.policies.protocol import Context
 from amusic_gym.routes.retime import retime
 from amusic_gym.utils.imports import PACKAGE, digest_of
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> SimpleNamespace:
