@@ -25,6 +25,8 @@ from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.estimation import belief
 from amusic_gym.routes.retime import retime
 
+pytestmark = pytest.mark.slow
+
 seeds = st.integers(0, 2**32)
 
 

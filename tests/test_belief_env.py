@@ -20,6 +20,8 @@ from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.estimation import belief
 
+pytestmark = pytest.mark.slow
+
 cached_pair = cache(pair)
 BELIEF = {"statistic": "belief", "allow_idle": True}
 

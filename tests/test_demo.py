@@ -14,6 +14,8 @@ from amusic_gym.cli import demo_story as story
 from amusic_gym.evaluation.study import rivals
 from amusic_gym.routes.simulate import simulate
 
+pytestmark = pytest.mark.slow
+
 
 def row(policy: str, auc: float, compute: float, weight: float | None = None) -> dict:
     return {

@@ -28,6 +28,8 @@ from amusic_gym.techniques.networks import NetVLADWidths
 from amusic_gym.techniques.preparation import Preparation
 from amusic_gym.techniques.weight_files import PRETRAINED, shipped
 
+pytestmark = pytest.mark.slow
+
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 MODULES = {"calc": calc, "netvlad": netvlad}
 NAMES = tuple(MODULES)

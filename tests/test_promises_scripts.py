@@ -27,6 +27,8 @@ from amusic_gym.envs.window import Window
 from amusic_gym.live.navigation import navigate
 from amusic_gym.routes.video import Camera, VideoWriter
 
+pytestmark = pytest.mark.slow
+
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 SCRIPT_NAMES = sorted(path.name for path in SCRIPTS.glob("[!_]*.py"))
 

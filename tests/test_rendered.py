@@ -33,6 +33,8 @@ from amusic_gym.worlds.conditions import Look, look_at, stretch_at
 from amusic_gym.worlds.drawing import draw
 from amusic_gym.worlds.files import is_whole, run_of
 
+pytestmark = pytest.mark.slow
+
 SMALL = (96, 72)
 ROOT = Path(__file__).resolve().parent.parent
 

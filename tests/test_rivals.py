@@ -16,8 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from matplotlib.figure import Figure
-from test_rollout import assert_same
-from test_study import learned, plan_of
+from rollout_cases import assert_same
+from study_cases import learned, plan_of
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.observation import TECHNIQUE_FEATURES, observation_size
@@ -34,6 +34,8 @@ from amusic_gym.evaluation.study.lineup import Lineup
 from amusic_gym.policies.protocol import Context
 from amusic_gym.policies.registry import CASCADE, FRONTS, MAY_IDLE, PEER, PERIODIC, VOI
 from amusic_gym.routes.simulate import planted, simulate
+
+pytestmark = pytest.mark.slow
 
 WEIGHTS = (0.01, 0.05, 0.15, 0.4, 1.0)
 
