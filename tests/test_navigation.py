@@ -24,7 +24,7 @@ from live_cases import (
 )
 
 from amusic_gym.evaluation.rollout import Job, rollout, rollouts
-from amusic_gym.live.navigation import Sighting, TraceWriter, navigate
+from amusic_gym.live.navigation import FrameResult, TraceWriter, navigate
 from amusic_gym.policies.protocol import Localiser
 from amusic_gym.policies.trace import CSV_COLUMNS, Trace
 
@@ -208,19 +208,19 @@ def test_the_csv_is_that_of_a_trace_and_the_milliseconds(spec, tmp_path):
     _, live = cached_pair(60, 40)
     whole = read(rollout(policy_on(spec, live), live, name=spec).write_csv(tmp_path / "whole.csv"))
     path = tmp_path / "new" / "live.csv"
-    seen: list[Sighting] = []
+    seen: list[FrameResult] = []
     with TraceWriter(path, live) as writer:
-        for sighting in navigate(policy_on(spec, live), live):
-            writer.write(sighting)
-            seen.append(sighting)
+        for result in navigate(policy_on(spec, live), live):
+            writer.write(result)
+            seen.append(result)
             assert len(read(path)) == 1 + len(seen)  # at once
     head, *lines = read(path)
     count = len(CSV_COLUMNS)
     names = [f"{name}_milliseconds" for name in NAMES]
     assert head[count:] == ["milliseconds", "read_milliseconds", *names]
     assert [line[:count] for line in (head, *lines)] == whole
-    for line, sighting in zip(lines, seen, strict=True):
-        times = [sighting.milliseconds, sighting.read_milliseconds, *sighting.run_milliseconds]
+    for line, result in zip(lines, seen, strict=True):
+        times = [result.milliseconds, result.read_milliseconds, *result.run_milliseconds]
         assert line[count:] == [f"{value:.3f}" for value in times]
 
 
@@ -231,10 +231,10 @@ def test_the_csv_is_whole_after_ctrl_c_and_needs_no_truth(tmp_path):
 
     def drive() -> None:
         with writer:
-            for sighting in navigate(policy, live):
-                if sighting.frame == 4:
+            for result in navigate(policy, live):
+                if result.frame == 4:
                     raise KeyboardInterrupt
-                writer.write(sighting)
+                writer.write(result)
 
     with pytest.raises(KeyboardInterrupt):
         drive()
