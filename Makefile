@@ -1,8 +1,8 @@
 # Every target sets up .venv first when it is missing or when requirements.lock or pyproject.toml
 # changed. Needs only Python >= 3.11 with pip, and make.
 #
-#   make check                          lint, types and the quick tests: while you work
-#   make test                           lint, types and all tests: before you send a change
+#   make check                           lint, types and the quick tests: while you work
+#   make test                            lint, types and all tests: before you send a change
 #   make demo ARGS="--bank MY_BANK"      extra arguments for the command behind a target
 #   make test ARGS="-k sic" WORKERS=8    tests by name, on eight processes
 #   make setup PYTHON=/path/to/python3   another interpreter
