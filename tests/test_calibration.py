@@ -54,16 +54,17 @@ def test_the_estimate_of_the_belief_is_the_documented_one(bank):
         info = env.step(action)[4]
         if info["prediction"] < 0:
             continue
-        mind = env.task.episodes.estimator.state.minds[0, 0]
+        belief = env.task.episodes.estimator.state.beliefs[0, 0]
+        said = belief["log_likelihood"]
         if info["ran"].any():
-            said_mean += 0.2 * (mind["said"] / info["ran"].sum() - said_mean)
-        ratio = log_ratio(mind["share"], mind["rival"])
+            said_mean += 0.2 * (said / info["ran"].sum() - said_mean)
+        ratio = log_ratio(belief["share"], belief["rival"])
         assert info["margin"] == pytest.approx(ratio)
-        logit = b[0] + b[1] * log_odds(mind["share"]) + b[2] * ratio
-        logit += b[3] * mind["said"] + b[4] * said_mean
+        logit = b[0] + b[1] * log_odds(belief["share"]) + b[2] * ratio
+        logit += b[3] * said + b[4] * said_mean
         assert info["confidence"] == pytest.approx(logit)
         assert info["p_correct"] == pytest.approx(1.0 / (1.0 + math.exp(-logit)))
-        inputs = calibration.belief_design(log_odds(mind["share"]), ratio, mind["said"], said_mean)
+        inputs = calibration.belief_design(log_odds(belief["share"]), ratio, said, said_mean)
         assert calibration.logistic(inputs @ b) == pytest.approx(info["p_correct"])
         seen.add(round(info["p_correct"], 6))
     assert len(seen) > 20
@@ -211,8 +212,8 @@ def test_samples_are_those_of_single_routes_before_calibration(script, statistic
             sample = [info["confidence"], discount, known["track"], known["recent"]]
             sample += [known["heard"], known["support"], info["margin"]]
             if statistic == "belief":
-                mind = env.task.episodes.estimator.state.minds[0, 0]
-                share = log_odds(mind["share"])
+                belief = env.task.episodes.estimator.state.beliefs[0, 0]
+                share = log_odds(belief["share"])
                 sample = [share, info["margin"], known["said"], known["said_mean"]]
             samples.append(sample)
             right.append((frame, len(expected), abs(info["prediction"] - frame) <= 2))

@@ -25,7 +25,7 @@ KERNELS = [
     step.observe_routes,
     update.update_routes,
     look_back.look_back,
-    belief_filter.hear_routes,
+    belief_filter.filter_routes,
     belief_filter.update_routes,
     belief_filter.look_back,
     _cohog_kernel.match_regions,

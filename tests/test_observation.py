@@ -224,7 +224,7 @@ class BeliefObserver(Observer):
 
     def __init__(self, env: TechniqueSelectionEnv, bank: ScoreBank, weight: float) -> None:
         super().__init__(env, bank, weight)
-        self.episodes = env.task.episodes  # tests/test_belief.py holds their minds right
+        self.episodes = env.task.episodes  # tests/test_belief.py holds its state right
 
     def look_back(self, frame: int) -> None:
         """Run everything on the block before a frame."""
@@ -238,23 +238,20 @@ class BeliefObserver(Observer):
 
     def read(self, t: int, frame: int) -> None:
         """Remember what a technique's row made of the belief."""
-        known = self.episodes.estimator.state.witnesses[0, 0, t]
+        known = self.episodes.estimator.state.techniques[0, 0, t]
         self.slots[t].update({key: known[key] for key in ("statistic", "margin", "correction")})
-        self.slots[t].update(trust=known["trust"], weight=known["weight"], said=known["said"])
-        sharpness = known["once"] + 2.0 * known["twice"] + 4.0 * known["fourfold"]
-        self.slots[t].update(sharpness=sharpness / 4.0)
+        self.slots[t].update(weight=known["weight"] * known["news"], said=known["log_likelihood"])
         self.slots[t].update(place=known["place"], last=frame)
 
     def note(self, frame: int, info: dict) -> None:
         """Take in what a step's infos say."""
         super().note(frame, info)
         if info["prediction"] >= 0:
-            mind, known = self.episodes.estimator.state.minds[0, 0], self.route
-            known.update({key: mind[key] for key in ("steady", "strange", "said")})
+            summary, known = self.episodes.estimator.state.beliefs[0, 0], self.route
+            said = summary["log_likelihood"]
+            known.update(steady=summary["p_steady"], said=said)
             if not info["idle"]:
-                known["said_mean"] += SMOOTHING * (
-                    mind["said"] / info["ran"].sum() - known["said_mean"]
-                )
+                known["said_mean"] += SMOOTHING * (said / info["ran"].sum() - known["said_mean"])
         for key in ("place", "statistic", "correction"):
             for t in np.flatnonzero(info["ran"]):
                 assert info[key][t] == self.slots[t][key]
@@ -300,17 +297,15 @@ def test_the_belief_has_entries_of_its_own(bank):
     seen = [env.reset(seed=0)[0], *(env.step([1, 1, 1])[0] for _ in range(40))]
     columns = dict(zip(names, np.transpose(seen), strict=True))
     for name in (
-        "T0.trust",
         "T0.weight",
         "T0.stored",
         "route.steady",
         "route.said",
-        "route.strange",
     ):
         assert len(set(columns[name])) > 10, name
     repeated = columns["T0.weight"][22:26]
-    assert columns["T0.weight"][1] == 1.0
-    assert max(repeated) < 0.5 < min(columns["T1.weight"][22:26])
+    assert (np.diff(repeated) < 0.0).all()
+    assert repeated[-1] < 0.8 * columns["T1.weight"][25]
 
 
 def test_a_first_prediction_continues_nothing():

@@ -69,8 +69,8 @@ class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.i
     | support | squash of the z-score that its last row gives to the fused prediction |
     | support_mean | squash of the running mean of support |
     | stored | squash of the statistic that the fused diagonal had at its last run * |
-    | trust | probability that its rows are informative, by `belief` |
-    | sharpness | how sharp they are taken to be, on average: 0 says nothing, 1 the sharpest |
+    | trust | 0: of an earlier `belief` |
+    | sharpness | 0: of an earlier `belief` |
     | weight | of its rows: 1, or less where they repeat the ones before; 0 before its first run * |
     | age | squash of the frames since its last run; 1 before the first |
     | chosen | 1 if MuSIC trusts it on this frame |
@@ -99,7 +99,7 @@ class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.i
     | steady | probability of steady motion, one place per frame, by `belief` |
     | said | squash of the log-likelihood that this frame's rows gave the prediction, by `belief` |
     | said_mean | squash of the running mean of what each row gave it |
-    | strange | squash of how much the rows changed last, over what is usual for them, by `belief` |
+    | strange | 0: of an earlier `belief` |
     | size | places of the map on a logarithmic scale, 1 → −1, 1000 → 0, a million → 1, clipped |
     | logit | squash of log(p̂ / (1 − p̂)), which lies between −30 and 30 |
     | since_confirmed | squash of the frames since a technique that ran confirmed the prediction |
@@ -118,9 +118,9 @@ class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.i
     that probability over its best rival's; *stored* the log-likelihood that its last row gave the
     fused place then. The *confidence* is the calibrated log-odds of being within the tolerance,
     and the *margin* over the rival the log ratio of the belief around the fused place and around
-    the best one that shares no place with it. Its *weight* is that of its last row alone, of less
-    contrast than usual less, too. With the other statistics, `trust`, `sharpness`, `steady`,
-    `said`, `said_mean` and `strange` are 0.
+    the best one that shares no place with it. A technique's *weight* is that of its last row: less
+    where it says little that is new, and where others that ran on the frame err alike. With the
+    other statistics, `steady`, `said` and `said_mean` are 0.
 
     ## Rewards
     p̂ − λ · (seconds run in this step / Σ seconds), from declared seconds; the terms are in

@@ -2,7 +2,7 @@
 
 The coefficients were fitted on simulated routes only, by ``scripts/calibrate.py``, and are read
 from ``calibration.json``. The compiled twins of :func:`design`, :func:`belief_design` and the
-logistic function are ``estimate_correctness`` of SIC and ``believe`` of the belief; tests hold
+logistic function are ``estimate_correctness`` of SIC and ``estimate`` of the belief; tests hold
 them equal.
 """
 

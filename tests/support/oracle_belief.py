@@ -1,9 +1,7 @@
 """The belief in explicit loops: every formula written out, nothing shared with the kernels.
 
-A route's belief is a dictionary from a way of moving to its line of R numbers. A way is a speed
-(0, 0.5, 1, 1.5 or 2 places per frame, with jumps), "locked" (steady motion in which images look
-like the place they are of), or ("wander", off): steady motion in which they look like the place
-`off` places ahead.
+A route's belief is a dictionary from a mode of motion to R numbers: a speed (0, 0.5, 1, 1.5 or 2
+places per frame, with jumps) or "steady".
 """
 
 from __future__ import annotations
@@ -18,14 +16,13 @@ import numpy as np
 import oracle
 from numpy.typing import NDArray
 
-from amusic_gym.estimation.belief import Rates
+from amusic_gym.estimation.belief import model
 
 Floats = NDArray[np.float64]
 Row = Any  # (R,) scores, or None: the technique did not run
 
 SPEEDS = {0.0: 1 / 8, 0.5: 1 / 8, 1.0: 1 / 2, 1.5: 1 / 8, 2.0: 1 / 8}  # and how often each is drawn
-OFFS = range(-3, 4)
-WAYS: list[Any] = [*SPEEDS, "locked", *(("wander", off) for off in OFFS)]
+MODES: list[Any] = [*SPEEDS, "steady"]
 LEAST = 1e-12  # of what a logarithm is taken of
 EQUAL = 1e-9  # numbers that differ by less, relatively, are ties
 
@@ -34,15 +31,10 @@ EQUAL = 1e-9  # numbers that differ by less, relatively, are ties
 class Technique:
     """What is known of a technique."""
 
-    usual: Floats  # of each place: mean and variance of its z-scores
-    spread: Floats
-    kinds: Floats  # probabilities that its rows say nothing, or are of sharpness 1, 2 and 4
-    count: int = 0
-    last: Row = None
-    last_frame: int = -1
-    novelty: float = 0.0
-    contrast: float = 0.0
-    weight: float = 0.0
+    hub: Floats  # mean row
+    variance: Floats  # of each place's news
+    rows: int = 0
+    news: float = 0.0  # factor on the last row's scores
 
 
 @dataclass
@@ -53,12 +45,9 @@ class Own:
     statistic: float
     correction: float
     margin: float
-    weight: float
-    trust: float = 0.0
-    once: float = 0.0
-    twice: float = 0.0
-    fourfold: float = 0.0
-    said: float = 0.0
+    news: float = 0.0
+    weight: float = 0.0
+    log_likelihood: float = 0.0
 
 
 @dataclass
@@ -68,10 +57,9 @@ class Frame:
     place: int
     share: float
     rival: float
-    steady: float
-    strange: float
-    said: float
-    heard: int
+    p_steady: float
+    log_likelihood: float
+    rows: int
     places: Floats
     own: list[Any] = field(default_factory=list)  # an Own of each technique that ran, else None
 
@@ -84,326 +72,212 @@ def log_odds(share: float) -> float:
     return log(share) - log(1.0 - share)
 
 
-def offs_chance(off: int) -> float:
-    return math.comb(6, off + 3) / 2**6
-
-
-def start_of(rates: Rates, way: Any) -> float:
-    """Belief in a way of moving before anything is seen."""
-    if way in SPEEDS:
-        return (1 - rates.steady) * SPEEDS[way]
-    if way == "locked":
-        return rates.steady * (1 - rates.wandering)
-    return rates.steady * rates.wandering * offs_chance(way[1])
-
-
 def clamp(value: float, low: float, high: float) -> float:
     return min(max(value, low), high)
-
-
-def clip_place(place: int, size: int) -> int:
-    """What would look beyond an end of the map looks like that end."""
-    return int(clamp(place, 0, size - 1))
 
 
 # ---- rows --------------------------------------------------------------------------------
 
 
-def candidates(row: Floats) -> Floats:
-    """The scores of a row but -inf, which is for no candidate; 0 where there is none."""
-    return row[row > -math.inf] if (row > -math.inf).any() else np.zeros(1)
-
-
-def is_constant(row: Floats) -> bool:
-    return bool(candidates(row).min() == candidates(row).max())
-
-
-def z_scores(row: Floats) -> Floats:
-    """Zero also for places that are no candidates."""
-    if is_constant(row):
-        return np.zeros_like(row)
-    z: Floats = (row - candidates(row).mean()) / candidates(row).std()
-    return np.where(row > -math.inf, z, 0.0)
-
-
-def novelty_of(row: Floats, before: Floats | None) -> float | None:
-    """1 - correlation; None for a technique's first row, and with a constant one."""
-    if before is None or is_constant(row) or is_constant(before):
+def z_scores(row: Floats) -> Floats | None:
+    """Of the candidates, population deviation; 0 for the others; None: all are the same."""
+    candidates = [value for value in row if value != -math.inf]
+    if not candidates or max(candidates) <= min(candidates):
         return None
-    both = (row > -math.inf) & (before > -math.inf)
-    alike = float((z_scores(row) * z_scores(before)).sum()) / max(both.sum(), 1)
-    return clamp(1.0 - alike, 0.0, 2.0)
+    mean = math.fsum(candidates) / len(candidates)
+    variance = math.fsum((value - mean) ** 2 for value in candidates) / len(candidates)
+    return np.array([0.0 if v == -math.inf else (v - mean) / math.sqrt(variance) for v in row])
 
 
-def weight_of(rates: Rates, known: Technique, row: Floats, novelty: float | None) -> float:
-    """How much a row says; takes in its deviation."""
-    constant = is_constant(row)
-    contrast = 0.0 if constant else float(candidates(row).std())
-    weight = 0.0 if constant else 1.0
-    if known.last is None:
-        known.contrast = contrast
-        return weight
-    if novelty is not None:
-        weight *= rates.repeat + (1 - rates.repeat) * min(1.0, novelty / rates.novel)
-    if contrast < known.contrast:
-        weight *= (contrast / known.contrast) ** rates.contrast
-    known.contrast = 0.9 * known.contrast + 0.1 * contrast
-    return weight
-
-
-def without_hubs(rates: Rates, known: Technique, row: Floats) -> Floats:
-    """Clipped z-scores less what each place usually gets, which they then add to."""
-    z, values = z_scores(row), np.zeros(len(row))
-    surely = known.count / (known.count + rates.hub_count)
-    step = 1.0 / (min(known.count, rates.hub_memory) + 1.0)
-    for place in range(len(row)):
-        variance = 1.0 + surely * rates.hub_spread * (known.spread[place] - 1.0)
-        value = z[place] - surely * rates.hub * known.usual[place]
-        value /= math.sqrt(max(variance, 0.05))
-        values[place] = clamp(value, -rates.most, rates.most)
-        if row[place] == -math.inf:
-            values[place] = 0.0 if is_constant(row) else -1000.0
-        if is_constant(row) or row[place] == -math.inf:
-            continue  # it tells of no place, or not of this one
-        off = z[place] - known.usual[place]
-        known.usual[place] += step * off
-        known.spread[place] += step * (off * (z[place] - known.usual[place]) - known.spread[place])
-    return values
-
-
-def kinds_of(rates: Rates) -> Floats:
-    """Probabilities of the kinds of rows before any is known."""
-    sharper = rates.trust * rates.sharper
-    sharpest = sharper * rates.sharpest
-    return np.array([1.0 - rates.trust, rates.trust - sharper, sharper - sharpest, sharpest])
-
-
-def likelihoods(rates: Rates, known: Technique, values: Floats) -> Floats:
-    """Likelihood (4, R) of every place if rows say nothing, or are of sharpness 1, 2 and 4."""
-    logs = []
-    for value in values:
-        bent = value + (rates.convexity * value**2 if value > 0 else 0.0)
-        logs.append(rates.sharpness * known.weight * bent)
-    soft = np.array(
-        [(1.0 + max(x - max(logs), -60.0) / 1024.0) ** 1024 for x in logs]
-    )  # e^, nearly
-    by_kind = [soft**sharpness / np.mean(soft**sharpness) for sharpness in (1, 2, 4)]
-    return np.array([np.ones(len(values)), *by_kind])
-
-
-def learned(rates: Rates, known: Technique, by_kind: Floats, looks: Floats) -> Floats:
-    """Probabilities of the kinds, after a row and the belief that it led to."""
-    others = looks / (known.kinds @ by_kind)  # what the past and the other techniques say
-    fits = by_kind @ others
-    new: Floats = known.kinds * (fits / fits[0]) ** (rates.learn * known.weight)
-    new = (1.0 - rates.relearn) * new / new.sum() + rates.relearn * kinds_of(rates)
-    nothing = max(1.0 - new[1:].sum(), 0.01)
-    new[1:] *= (1.0 - nothing) / new[1:].sum()
-    new[0] = nothing
-    return new
-
-
-# ---- places ------------------------------------------------------------------------------
-
-
-def windows_of(values: Floats, tolerance: int) -> list[float]:
-    """Share of each place's surroundings."""
-    whole = math.fsum(values)
-    return [
-        math.fsum(values[max(place - tolerance, 0) : place + tolerance + 1]) / whole
-        for place in range(len(values))
+def likelihood_of(known: Technique, row: Floats) -> Floats | None:
+    """Likelihood of every place, 1 on average over the candidates; None for a constant row."""
+    z, size = z_scores(row), len(row)
+    known.news = 0.0
+    if z is None:
+        return None
+    squares = math.fsum(z**2), math.fsum(known.hub**2) + 1e-12
+    alike = clamp(math.fsum(z * known.hub) / math.sqrt(squares[0] * squares[1]), 0.0, 1.0)
+    step = model.HUB_STEP if known.rows else 1.0
+    spread = max(model.VARIANCE_STEP, 1.0 / (known.rows + 2))
+    score = [0.0] * size
+    for c in range(size):
+        if row[c] == -math.inf:
+            continue
+        news = z[c] - alike * known.hub[c]
+        score[c] = news / math.sqrt(max(known.variance[c], model.LEAST_VARIANCE))
+        known.hub[c] = (1.0 - step) * known.hub[c] + step * z[c]
+        known.variance[c] = (1.0 - spread) * known.variance[c] + spread * news**2
+    known.rows += 1
+    mean = math.fsum(score) / size
+    deviation = math.sqrt(math.fsum((value - mean) ** 2 for value in score) / size)
+    known.news = math.sqrt(min(deviation, 1.0))
+    powers = [
+        0.0
+        if row[c] == -math.inf
+        else math.exp(
+            model.SLOPE * known.news * min((score[c] - mean) / max(deviation, 1e-9), 30.0)
+        )
+        for c in range(size)
     ]
+    candidates = sum(value != -math.inf for value in row)
+    whole = math.fsum(powers)
+    return np.array([0.5 + 0.5 * candidates * value / whole for value in powers])
 
 
-def first_most(places: Sequence[int], values: Any) -> int:
-    """Place of the highest value; of equal ones the first named."""
-    most = max(values[place] for place in places)
-    return next(place for place in places if values[place] >= most * (1 - EQUAL))
+# ---- techniques --------------------------------------------------------------------------
 
 
-def likeliest(values: Floats, tolerance: int) -> tuple[int, float, float]:
-    """Place that holds most of those with (almost) the best surroundings; their share; rival's."""
-    windows = windows_of(values, tolerance)
-    best = first_most(range(len(values)), windows)
-    around = [c for c in range(len(values)) if c != best and abs(c - best) <= tolerance]
-    good = [c for c in around if windows[c] >= 0.99 * windows[best]]
-    place = first_most([best, *good], values)
-    apart = [w for c, w in enumerate(windows) if abs(c - place) > 2 * tolerance]
-    return place, min(windows[place], 1.0), max(apart, default=0.0)
+def correlation_away(one: Floats, other: Floats, place: int) -> float:
+    """Over the places more than ten, or a tenth of the map, away from one."""
+    size = len(one)
+    away = min(10, size // 10)
+    kept = [c for c in range(size) if abs(c - place) > away]
+    if len(kept) < 3:
+        return 0.0
+    a, b = one[kept], other[kept]
+    spread = float(np.var(a) * np.var(b))
+    if spread <= 1e-9 * float(np.mean(a * a) * np.mean(b * b)):
+        return 0.0
+    return float(np.mean((a - a.mean()) * (b - b.mean()))) / math.sqrt(spread)
 
 
-def own_word(values: Floats, row: Floats, tolerance: int, weight: float) -> Own:
-    """A technique's own place, and what it gains over the row's best place."""
-    place, share, rival = likeliest(values, tolerance)
-    statistic = log_odds(share)
-    uncorrected = log_odds(min(windows_of(values, tolerance)[int(np.argmax(row))], 1.0))
-    gain = max(statistic - uncorrected, 0.0)
-    return Own(place, statistic, gain, log(share) - log(rival), weight)
+def weights_of(matrix: Floats) -> Floats:
+    """Weights g of n techniques of a correlation matrix (n, n): what C g = 1 makes of ones."""
+    weights = np.ones(len(matrix))
+    for _ in range(30):
+        weights = weights / (matrix @ weights)
+    return weights
 
 
 # ---- motion ------------------------------------------------------------------------------
 
 
-def moves_of(rates: Rates, speed: float, stand: float) -> dict[int, float]:
-    """Chances of the places that a speed moves in a frame."""
-    whole = int(speed)
-    if speed != whole:
-        moves = {whole: 0.5, whole + 1: 0.5}
-    elif speed == 0.0:
-        moves = {0: 1 - rates.slack, 1: rates.slack}
-    else:
-        moves = {whole - 1: rates.slack, whole: 1 - 2 * rates.slack, whole + 1: rates.slack}
-    return {places: p * (stand if places == 0 else 1.0) for places, p in moves.items()}
+def moves_of(mode: Any) -> dict[int, float]:
+    """Probabilities of moving by some places."""
+    s = model.SLACK
+    return {
+        0.0: {0: 1 - s, 1: s},
+        0.5: {0: 0.5, 1: 0.5},
+        1.0: {0: s, 1: 1 - 2 * s, 2: s},
+        1.5: {1: 0.5, 2: 0.5},
+        2.0: {1: s, 2: 1 - 2 * s, 3: s},
+        "steady": {1: 1.0},
+    }[mode]
 
 
 def moved(line: Floats, moves: dict[int, float]) -> Floats:
-    """A line moved on; what moves off the map is lost."""
+    """What stays on the map."""
     out = np.zeros(len(line))
     for place, value in enumerate(line):
-        for places, p in moves.items():
-            if place + places < len(line):
-                out[place + places] += p * value
+        for step, chance in moves.items():
+            if place + step < len(line):
+                out[place + step] += chance * value
     return out
 
 
-def mixed(rates: Rates, lines: dict[Any, Floats]) -> dict[Any, Floats]:
-    """Speeds change, looks drift as in Ehrenfest's urns, steady motion ends and begins."""
-    fast = sum(lines[way] for way in SPEEDS)
-    even = sum(lines[way] for way in WAYS if way not in SPEEDS)
-    out: dict[Any, Floats] = {}
-    for speed, often in SPEEDS.items():
-        changed = (1 - rates.change) * lines[speed] + rates.change * often * fast
-        out[speed] = (1 - rates.settle) * changed + rates.leave * often * even
-    gained = rates.settle * fast
-    out["locked"] = (1 - rates.leave) * lines["locked"] + (1 - rates.wandering) * gained
-    for off in OFFS:
-        line = (1 - rates.wander) * lines["wander", off]
-        if off > -3:
-            line = line + rates.wander * (3 - (off - 1)) / 6 * lines["wander", off - 1]
-        if off < 3:
-            line = line + rates.wander * (3 + (off + 1)) / 6 * lines["wander", off + 1]
-        begun = rates.wandering * offs_chance(off) * gained
-        out["wander", off] = (1 - rates.leave) * line + begun
-    return out
+# ---- places ------------------------------------------------------------------------------
 
 
-# ---- the filter --------------------------------------------------------------------------
+def window(values: Floats, place: int, tolerance: int) -> float:
+    return float(values[max(place - tolerance, 0) : place + tolerance + 1].sum())
+
+
+def likeliest(values: Floats, tolerance: int) -> tuple[int, float, float]:
+    """Place whose window holds most, its share, and that of the best window apart from it."""
+    whole = float(values.sum())
+    windows = [window(values, c, tolerance) / whole for c in range(len(values))]
+    best = 0
+    for c in range(len(values)):
+        if windows[c] > windows[best] * (1 + EQUAL):
+            best = c
+    place = best
+    for c in range(max(best - tolerance, 0), min(best + tolerance + 1, len(values))):
+        if windows[c] >= 0.99 * windows[best] and values[c] > values[place] * (1 + EQUAL):
+            place = c
+    apart = [windows[c] for c in range(len(values)) if abs(c - place) > 2 * tolerance]
+    return place, min(windows[place], 1.0), max(apart, default=0.0)
+
+
+def own_word(joint: Floats, row: Floats, tolerance: int) -> Own:
+    place, share, rival = likeliest(joint, tolerance)
+    top = max(range(len(row)), key=lambda c: (row[c], -c))
+    raw = window(joint, top, tolerance) / float(joint.sum())
+    statistic = log_odds(share)
+    return Own(place, statistic, max(statistic - log_odds(raw), 0.0), log(share) - log(rival))
 
 
 class Belief:
-    """The filter of one route: feed it the rows of each frame, None for what did not run."""
+    """Over a route, frame by frame."""
 
-    def __init__(self, rates: Rates, techniques: int, references: int, tolerance: int) -> None:
-        self.rates, self.size, self.tolerance = rates, references, tolerance
-        self.frame = -1
-        even = np.full(references, 1 / references)
-        self.lines = {way: start_of(rates, way) * even for way in WAYS}
+    def __init__(self, techniques: int, references: int, tolerance: int) -> None:
+        self.frame, self.size, self.tolerance = -1, references, tolerance
+        start = {speed: 0.45 * share for speed, share in SPEEDS.items()} | {"steady": 0.55}
+        self.lines = {mode: np.full(references, start[mode] / references) for mode in MODES}
         self.known = [
-            Technique(np.zeros(references), np.ones(references), kinds_of(rates))
-            for _ in range(techniques)
+            Technique(np.zeros(references), np.ones(references)) for _ in range(techniques)
         ]
+        self.alike: dict[tuple[int, int], tuple[float, int]] = {}  # correlation, frames
 
-    def hear(self, rows: Sequence[Row]) -> Frame:
-        """Take in the next frame."""
+    def update(self, rows: Sequence[Row]) -> Frame:
+        """Take the next frame."""
         self.frame += 1
         rows = [None if row is None else np.asarray(row, np.float64) for row in rows]
-        same, strange = self._compare(rows)
-        values = [
-            None if row is None else without_hubs(self.rates, known, row)
-            for known, row in zip(self.known, rows, strict=True)
-        ]
-        for known, row in zip(self.known, rows, strict=True):
-            if row is not None:
-                known.count, known.last, known.last_frame = known.count + 1, row, self.frame
         if self.frame > 0:
-            self._move(self.rates.stand if same else 1.0, strange)
-        return self._weigh(rows, values, strange)
-
-    def _compare(self, rows: Sequence[Row]) -> tuple[bool, float]:
-        """Whether a row is that of the frame before; change of the rows over the usual one."""
-        same, ratios = False, []
-        for known, row in zip(self.known, rows, strict=True):
-            if row is None:
-                continue
-            novelty = novelty_of(row, known.last)
-            known.weight = weight_of(self.rates, known, row, novelty)
-            if novelty is None:
-                continue
-            if known.last_frame == self.frame - 1:
-                if novelty < 1e-4:
-                    same = True
-                elif known.novelty > 0:
-                    ratios.append(novelty / known.novelty)
-            if novelty >= 1e-4:
-                usual = known.novelty or novelty
-                known.novelty = 0.9 * usual + 0.1 * min(novelty, 3.0 * usual)
-        return same, (math.fsum(ratios) / len(ratios) if ratios else 0.0)
-
-    def _move(self, stand: float, strange: float) -> None:
-        rates, size = self.rates, self.size
-        lines = mixed(rates, self.lines)
-        for way in WAYS:
-            moves = moves_of(rates, way, stand) if way in SPEEDS else {1: 1.0}
-            lines[way] = moved(lines[way], moves)
-        whole = sum(line.sum() for line in lines.values())
-        if whole < 1e-200:  # driven off the map
-            self.lines = {way: np.full(size, start_of(rates, way) / size) for way in WAYS}
-            return
-        lines = {way: line / whole for way, line in lines.items()}
-        rise = rates.jump_novel * (strange - rates.jump_usual) if strange > 0 else 0.0
-        factor = math.exp(clamp(rise, -3.0, 3.0))
-        often, seldom = (min(p * factor, 0.9) for p in (rates.jump, rates.steady_jump))
-        lost = 0.0
-        for way in WAYS:
-            p = often if way in SPEEDS else seldom
-            lost += p * lines[way].sum()
-            lines[way] = (1 - p) * lines[way]
-        for speed, share in SPEEDS.items():
-            lines[speed] = lines[speed] + lost * share / size
-        self.lines = lines
-
-    def _looks(self) -> Floats:
-        """Belief over the places that the image looks like."""
-        out = np.zeros(self.size)
-        for way, line in self.lines.items():
-            off = way[1] if isinstance(way, tuple) else 0
-            for place, value in enumerate(line):
-                out[clip_place(place + off, self.size)] += value
-        return out
-
-    def _weigh(self, rows: Sequence[Row], values: Sequence[Any], strange: float) -> Frame:
-        looks = self._looks()
-        own: list[Any] = []
+            self._move()
+        prior = np.sum(list(self.lines.values()), axis=0)
+        own: list[Any] = [None] * len(rows)
+        useful: dict[int, Floats] = {}
         factors: dict[int, Floats] = {}
-        by_kind: dict[int, Floats] = {}
-        for t, (known, row) in enumerate(zip(self.known, rows, strict=True)):
-            own.append(None)
+        for t, row in enumerate(rows):
             if row is not None:
-                by_kind[t] = likelihoods(self.rates, known, values[t])
-                factors[t] = known.kinds @ by_kind[t]
-                own[t] = own_word(looks * factors[t], row, self.tolerance, known.weight)
-        said = np.zeros(self.size)
-        for factor in factors.values():
-            said = said + np.log(factor)
-        together = np.exp(said - said.max())  # of many factors the product itself may vanish
-        for way, line in self.lines.items():
-            off = way[1] if isinstance(way, tuple) else 0
-            for place in range(self.size):
-                line[place] *= together[clip_place(place + off, self.size)]
-        whole = sum(line.sum() for line in self.lines.values())
-        self.lines = {way: line / whole for way, line in self.lines.items()}
+                likelihood = likelihood_of(self.known[t], row)
+                factors[t] = np.ones(self.size) if likelihood is None else likelihood
+                if likelihood is not None:
+                    useful[t] = likelihood
+                own[t] = own_word(prior * factors[t], row, self.tolerance)
+        weights = self._weigh(useful, prior)
+        together = np.zeros(self.size)
+        for t, weight in weights.items():
+            together += weight * np.log(useful[t])
+        lines = {mode: line * np.exp(together) for mode, line in self.lines.items()}
+        whole = sum(line.sum() for line in lines.values())
+        self.lines = {mode: line / whole for mode, line in lines.items()}
         places = np.sum(list(self.lines.values()), axis=0)
         place, share, rival = likeliest(places, self.tolerance)
-        looks = self._looks()
         for t, factor in factors.items():
-            own[t].said = math.log(factor[place])
-            known = self.known[t]
-            known.kinds = learned(self.rates, known, by_kind[t], looks)
-            own[t].trust = 1.0 - known.kinds[0]
-            own[t].once, own[t].twice, own[t].fourfold = known.kinds[1:]
-        steady = sum(float(line.sum()) for way, line in self.lines.items() if way not in SPEEDS)
-        heard = math.fsum(one.said for one in own if one is not None)
-        return Frame(place, share, rival, steady, strange, heard, len(factors), places, own)
+            own[t].news, own[t].weight = self.known[t].news, weights.get(t, 0.0)
+            own[t].log_likelihood = math.log(factor[place])
+        total = math.fsum(one.weight * one.log_likelihood for one in own if one is not None)
+        steady = float(self.lines["steady"].sum())
+        return Frame(place, share, rival, steady, total, len(factors), places, own)
+
+    def _weigh(self, useful: dict[int, Floats], prior: Floats) -> dict[int, float]:
+        """How much each technique counts; learns how alike they are."""
+        names = list(useful)
+        place = next(c for c in range(self.size) if prior[c] >= prior.max() * (1 - EQUAL))
+        matrix = np.eye(len(names))
+        for b, other in enumerate(names):
+            for a, one in enumerate(names[:b]):
+                mean, frames = self.alike.get((one, other), (0.0, 0))
+                new = correlation_away(np.log(useful[one]), np.log(useful[other]), place)
+                step = max(model.LIKENESS_STEP, 1.0 / (frames + 1))
+                mean += step * (new - mean)
+                self.alike[one, other] = mean, frames + 1
+                matrix[a, b] = matrix[b, a] = model.LIKENESS + (1 - model.LIKENESS) * max(mean, 0.0)
+        return dict(zip(names, weights_of(matrix).tolist(), strict=True))
+
+    def _move(self) -> None:
+        free = np.sum([self.lines[speed] for speed in SPEEDS], axis=0)
+        steady = self.lines["steady"]
+        mixed = {"steady": (1 - model.LEAVE) * steady + model.SETTLE * free}
+        for speed, share in SPEEDS.items():
+            kept = (1 - model.CHANGE) * self.lines[speed] + model.CHANGE * share * free
+            mixed[speed] = (1 - model.SETTLE) * kept + model.LEAVE * share * steady
+        jump = {speed: model.JUMP for speed in SPEEDS} | {"steady": model.STEADY_JUMP}
+        self.lines = {mode: (1 - jump[mode]) * moved(mixed[mode], moves_of(mode)) for mode in MODES}
+        lost = 1.0 - sum(line.sum() for line in self.lines.values())
+        for speed, share in SPEEDS.items():
+            self.lines[speed] = self.lines[speed] + lost * share / self.size
 
 
 # ---- routes ------------------------------------------------------------------------------
@@ -436,7 +310,6 @@ class Step:
 class Settings:
     """Of a route."""
 
-    rates: Rates
     coefficients: Sequence[float]
     tolerance: int
     seconds: Sequence[float]
@@ -445,12 +318,12 @@ class Settings:
     allow_idle: bool = False
 
 
-def heard(
+def filtered(
     scores: Any, ran: Sequence[Sequence[bool]], chosen: Settings
 ) -> tuple[Belief, list[Frame]]:
     """The belief after the frames of `ran`, from scratch, and what each came to."""
-    belief = Belief(chosen.rates, len(scores), scores.shape[2], chosen.tolerance)
-    return belief, [belief.hear(rows_of(scores, q, row)) for q, row in enumerate(ran)]
+    belief = Belief(len(scores), scores.shape[2], chosen.tolerance)
+    return belief, [belief.update(rows_of(scores, q, row)) for q, row in enumerate(ran)]
 
 
 def rows_of(scores: Any, q: int, ran: Sequence[bool]) -> list[Row]:
@@ -463,7 +336,7 @@ def select(scores: Any, ran: list[list[bool]], chosen: Settings) -> tuple[Belief
     late = [sum(not ran[q][t] for q in range(first, len(ran))) for t in range(len(scores))]
     for q in range(first, len(ran)):
         ran[q] = [True] * len(scores)
-    belief, frames = heard(scores, ran, chosen)
+    belief, frames = filtered(scores, ran, chosen)
     tally, corrections = [0] * len(scores), []
     for frame in frames[first:]:
         statistics = [own.statistic for own in frame.own]
@@ -480,10 +353,10 @@ def first_best(statistics: Sequence[float]) -> int:
 
 def drive(scores: Any, actions: Any, chosen: Settings) -> list[Step]:
     """A route from its first frame, as the environment takes actions."""
-    belief = Belief(chosen.rates, len(scores), scores.shape[2], chosen.tolerance)
+    belief = Belief(len(scores), scores.shape[2], chosen.tolerance)
     ran: list[list[bool]] = []
     steps: list[Step] = []
-    said_mean = 0.0
+    mean = 0.0
     cheapest = int(np.argmin(chosen.seconds))
     for q, action in enumerate(np.asarray(actions, bool).tolist()):
         runs, selection = action[: len(scores)], None
@@ -493,14 +366,14 @@ def drive(scores: Any, actions: Any, chosen: Settings) -> list[Step]:
         if not any(runs) and not chosen.allow_idle:
             runs[cheapest] = True
         ran.append(runs)
-        frame = copy.deepcopy(belief.hear(rows_of(scores, q, runs)))
+        frame = copy.deepcopy(belief.update(rows_of(scores, q, runs)))
         if not any(runs) and (not steps or steps[-1].prediction < 0):
             steps.append(Step(frame, runs, -1, 0.0, 0.0, 0.0, selection))
             continue
-        if frame.heard:
-            said_mean += 0.2 * (frame.said / frame.heard - said_mean)
+        if frame.rows:
+            mean += 0.2 * (frame.log_likelihood / frame.rows - mean)
         margin = log(frame.share) - log(frame.rival)
-        inputs = [1.0, log_odds(frame.share), margin, frame.said, said_mean]
+        inputs = [1.0, log_odds(frame.share), margin, frame.log_likelihood, mean]
         logit = clamp(float(np.dot(chosen.coefficients, inputs)), -30.0, 30.0)
         p = 1.0 / (1.0 + math.exp(-logit))
         steps.append(Step(frame, runs, frame.place, logit, margin, p, selection))

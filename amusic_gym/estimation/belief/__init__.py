@@ -1,28 +1,17 @@
 """A belief over the map's places, fed by every score row that a technique computes.
 
 SIC and MuSIC (A-MuSIC, III-A and III-B) follow diagonals of the score matrix: they hold while the
-robot moves exactly one place per frame. This filter keeps the idea, that a match must continue
-those before it, and lets go of the constant speed. It is a Bayes filter (Markov localisation) over
-place and way of moving, the same for all techniques:
+robot moves exactly one place per frame. This is a Bayes filter (Markov localisation) over place and
+way of moving, shared by all techniques of a route. ``docs/belief.md`` says what each part is worth.
 
-* **Motion.** Besides five speeds, there is a steady way of moving, one place per frame without
-  jumps. The belief in it grows while nothing else is seen, so a recording as the paper knows them
-  is summed along its diagonals.
-* **Rows.** Of each row's z-scores the place's own mean and deviation over the frames so far are
-  taken out, because hubs that attract every query help nobody. A row that repeats the technique's
-  last one says little (noise is correlated in time); a frame whose rows are the same as those
-  before it says that the robot stands.
-* **Trust.** A row says nothing, or something, or that twice or four times as sharply: each with a
-  probability that is learned as the robot drives, per technique, from what the past and the other
-  techniques say. So no row can rule a place out.
+* **Rows** (:mod:`~amusic_gym.estimation.belief.rows`). Errors last: what a technique's rows of late
+  said, and what each place usually gets, is taken out before a row counts.
+* **Techniques** (:mod:`~amusic_gym.estimation.belief.agreement`). Techniques that err alike share
+  one vote: a copy of a technique changes nothing.
+* **Motion** (:mod:`~amusic_gym.estimation.belief.motion`). Steady motion, one place per frame, or
+  one of five speeds with jumps.
 
-A frame costs a few passes over R numbers for each technique that ran, and a few more for the
-motion, whatever ran before. The rates were fitted on simulated routes only
-(``scripts/fit_belief.py``).
+Every constant stands in :mod:`~amusic_gym.estimation.belief.model`.
 """
 
 from __future__ import annotations
-
-from amusic_gym.estimation.belief.rates import Rates, fitted, stored
-
-__all__ = ["Rates", "fitted", "stored"]

@@ -1,7 +1,8 @@
-"""Threads that take the rows of a batch of routes into its belief, each a share of the routes.
+"""The belief as an estimator; threads share its routes.
 
-The kernel that hears runs without the GIL. A route is heard by one thread alone, so the results are
-the same for any number of threads. Kernels that write to the prepared rows of a bank hold the GIL.
+The kernel that filters runs without the GIL. A route is filtered by one thread alone, so the
+results are the same for any number of threads. Kernels that write to the prepared rows of a bank
+hold the GIL.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ import numpy as np
 
 from amusic_gym.estimation.batch import Batch
 from amusic_gym.estimation.belief.filter import (
-    hear_routes,
+    filter_routes,
     look_back,
     prepare_rows,
     update_routes,
 )
-from amusic_gym.estimation.belief.memory import REACH, Minds, begin
-from amusic_gym.estimation.belief.rates import WAYS, fitted
+from amusic_gym.estimation.belief.model import MODES, REACH
+from amusic_gym.estimation.belief.state import BeliefState, begin
 from amusic_gym.estimation.calibration import coefficients
 from amusic_gym.estimation.settings import SICSettings
 
@@ -37,7 +38,7 @@ class BeliefEstimator:
         threads: that share the routes; no more than there are.
     """
 
-    state: Minds
+    state: BeliefState
 
     def __init__(self, settings: SICSettings, *, block: int, threads: int = 1) -> None:
         self.settings = settings
@@ -52,14 +53,14 @@ class BeliefEstimator:
             "coefficients": len(calibration),
             "sets": 2 if self._block else 1,
             "two": 2,
-            "ways": WAYS,
+            "modes": MODES,
             "line": REACH + sizes["references"],
         }
         given = {"batch": batch, "calibration": calibration}
         if hasattr(self, "state"):
             self.state = self.state.grown(sizes, **given)
         else:
-            self.state = Minds(sizes, rates=fitted(), **given)
+            self.state = BeliefState(sizes, **given)
         self.link(batch)
 
     def begin(self, i: int, references: int) -> None:
@@ -94,14 +95,14 @@ class BeliefEstimator:
 
     def update(self) -> None:
         """Take the next frame of every active route."""
-        self.hear()
+        self.filter()
         update_routes(self._whole)
 
-    def hear(self) -> None:
+    def filter(self) -> None:
         """Take the next frame of every active route into its belief."""
         prepare_rows(self._whole)  # others who drive on the same bank share them
         if not self._parts:
-            hear_routes(self._whole)
+            filter_routes(self._whole)
             return
         for part, mine in zip(self._parts, self._mine, strict=True):
             np.logical_and(self.state.batch.active, mine, out=part.batch.active)
@@ -110,21 +111,21 @@ class BeliefEstimator:
         try:
             try:
                 for _ in self._shares[1:]:
-                    waiting.append(_executor().submit(self._hear_some, left))
+                    waiting.append(_executor().submit(self._filter_some, left))
             except RuntimeError:  # the interpreter is about to end and starts no more threads
                 pass
-            self._hear_some(left)
+            self._filter_some(left)
         finally:  # nobody may write to what an interrupted step leaves behind
             _wait_for(waiting)
 
-    def _hear_some(self, left: deque[int]) -> None:
-        """Hear shares, given by their addresses, as long as there are any left."""
+    def _filter_some(self, left: deque[int]) -> None:
+        """Filter shares, given by their addresses, as long as there are any left."""
         while left:
             try:
                 address = left.pop()
             except IndexError:  # another thread was faster
                 return
-            hear_routes(address)
+            filter_routes(address)
 
     def look_back(self) -> None:
         """Run all techniques on the last frames of the routes that want it, after the fact."""

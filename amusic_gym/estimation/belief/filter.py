@@ -1,26 +1,30 @@
-"""The Bayes filter over places, frame by frame."""
+"""The Bayes filter over places, frame by frame.
+
+Functions that kernels call get the batch's memory, a set of it (live or lagged), a route and a
+frame. Those that Python calls get the address of the words of a
+:class:`~amusic_gym.estimation.belief.state.BeliefState`.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
-from amusic_gym.banks.rows import prepare, top_at
-from amusic_gym.estimation.belief.memory import REACH, Minds, copy_mind, minds_at
-from amusic_gym.estimation.belief.motion import move
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.banks.rows import prepare, scale_at, top_at
+from amusic_gym.estimation.belief.agreement import learn_likenesses, weigh_techniques
+from amusic_gym.estimation.belief.model import MODES, STEADY
+from amusic_gym.estimation.belief.motion import add_modes, predict
 from amusic_gym.estimation.belief.places import (
-    conclude,
+    first_highest,
     log_odds,
     log_ratio,
-    looks_of,
-    places_of,
-    rescale,
-    testify,
-    weigh_places,
+    marginalise,
+    single_technique_posterior,
 )
-from amusic_gym.estimation.belief.rates import LOCKED, WAYS
-from amusic_gym.estimation.belief.rows import RECENT, listen, total
-from amusic_gym.estimation.belief.trust import learn, likelihood, voice
+from amusic_gym.estimation.belief.rows import row_likelihood, total
+from amusic_gym.estimation.belief.state import LAGGED, LIVE, BeliefState, restart, state_at
 from amusic_gym.estimation.prediction import (
     SMOOTHING,
     choose_technique,
@@ -30,212 +34,162 @@ from amusic_gym.estimation.prediction import (
     sigmoid,
 )
 from amusic_gym.kernels.compiling import apart, compiled, inner, spliced, without_gil
-from amusic_gym.kernels.tables import part
-
-SAME = 1e-4
-"""Two rows whose correlation falls short of 1 by less than this are the same."""
-
-MANY = 32
-"""Techniques whose likelihoods, from DOUBT to R, can be multiplied within the range of a float."""
 
 
 @apart
-def hear_rows(minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any) -> bool:
-    """Standardise the rows of a frame; whether one is the same as that of the frame before.
+def read_rows(state: BeliefState, which: int, i: int, frame: int) -> int:
+    """Turn the rows of a frame into likelihoods; how many there are.
 
-    Notes in the MIND record how much more than usual the rows have changed since.
+    Leaves what each alone makes of the predicted belief, ``prior``, in its record, and a weight of
+    1 for each that is not constant, 0 for all others.
     """
-    mind = minds.minds[which, i]
-    same, strange, compared = False, 0.0, 0
-    for s in range(ran.shape[0]):
+    runs, ran, count = state.batch.runs[i], state.batch.ran[i], 0
+    size, tolerance = state.batch.routes[i].references, state.batch.routes[i].tolerance
+    for s in range(runs.size):
+        state.weights[s] = 0.0
         if not ran[s, frame]:
             continue
-        known = minds.witnesses[which, i, s]
-        novelty = listen(minds.rates, known, runs[s], frame, minds.hubs[which, i, s], minds.rows[s])
-        if novelty >= 0.0 and known.last == frame - 1:
-            if novelty < SAME:
-                same = True
-            elif known.novelty > 0.0:
-                strange += novelty / known.novelty
-                compared += 1
-        if novelty >= SAME:
-            usual = known.novelty if known.novelty > 0.0 else novelty
-            known.novelty = usual + RECENT * (min(novelty, 3.0 * usual) - usual)
-        known.last = frame
-        known.count += 1.0
-    mind.strange = strange / compared if compared > 0 else 0.0
-    return same
-
-
-@spliced
-def weigh_rows(
-    minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any, size: int, tolerance: int
-) -> None:
-    """Turn the rows into likelihoods, and their product over the belief so far into the new one."""
-    mind, prior = minds.minds[which, i], minds.prior
-    now = minds.belief[which, i, mind.side]
-    looks_of(now, size, prior)
-    for s in range(ran.shape[0]):
-        if ran[s, frame]:
-            known, row, words = minds.witnesses[which, i, s], minds.rows[s], minds.voices[s]
-            voice(minds.rates, known, size, row, words)
-            top, joint, windows = top_at(runs[s], frame)[0], minds.joint, minds.windows
-            testify(known, prior, row, words, top, size, tolerance, joint, windows)
-    for place in range(size):
-        prior[place] = 1.0
-    for s in range(ran.shape[0]):
-        if ran[s, frame]:
-            row, words = minds.rows[s], minds.voices[s]
+        count += 1
+        known, likelihood = state.techniques[which, i, s], state.likelihoods[s]
+        if scale_at(runs[s], frame)[0] > 0.0:
+            hub, variance = state.hubs[which, i, s], state.variances[which, i, s]
+            known.news = row_likelihood(runs[s], frame, known.rows, hub, variance, likelihood)
+            state.weights[s] = 1.0
+            known.rows += 1.0
+        else:
+            known.news = 0.0
             for place in range(size):
-                prior[place] *= likelihood(words, row[place])
-        if s % MANY == MANY - 1:
-            rescale(prior, size)
-    weigh_places(now, prior, size)
-
-
-@spliced
-def look_over(minds: Minds, which: int, i: int, frame: int, ran: Any, size: int) -> None:
-    """Note what the rows said of the place in the end, and learn whom to trust."""
-    mind, looks = minds.minds[which, i], minds.prior
-    looks_of(minds.belief[which, i, mind.side], size, looks)
-    mind.said, mind.heard = 0.0, 0
-    for s in range(ran.shape[0]):
-        if ran[s, frame]:
-            known, row, words = minds.witnesses[which, i, s], minds.rows[s], minds.voices[s]
-            known.said = math.log(likelihood(words, row[mind.place]))
-            mind.said += known.said
-            mind.heard += 1
-            learn(minds.rates, known, size, row, words, looks, minds.windows)
+                likelihood[place] = 1.0
+        top = top_at(runs[s], frame)[0]
+        single_technique_posterior(state, known, s, top, size, tolerance)
+    return count
 
 
 @apart
-def normalise(mind: Any, now: Any, whole: float, size: int) -> None:
-    """Make the belief sum to 1, and note how much of it is in steady motion."""
-    mind.steady = 0.0
-    for way in range(WAYS):
-        line = part(now[way], REACH, size)
+def take_logs(state: BeliefState, size: int) -> None:
+    """Fill ``logs`` for the techniques that have a weight."""
+    for s in range(state.weights.size):
+        if state.weights[s] > 0.0:
+            likelihood, logs = state.likelihoods[s], state.logs[s]
+            for place in range(size):
+                logs[place] = math.log(likelihood[place])
+
+
+@apart
+def multiply(state: BeliefState, size: int, out: NDArray[np.float64]) -> None:
+    """Write the product (R,) of the likelihoods, each to the power of its weight, to ``out``."""
+    for place in range(size):
+        out[place] = 0.0
+    for s in range(state.weights.size):
+        if state.weights[s] > 0.0:
+            logs, weight = state.logs[s], state.weights[s]
+            for place in range(size):
+                out[place] += weight * logs[place]
+    for place in range(size):
+        out[place] = math.exp(out[place])
+
+
+@apart
+def fuse(state: BeliefState, which: int, i: int, size: int, out: NDArray[np.float64]) -> None:
+    """Write the likelihood (R,) by all rows of a frame to ``out``, and find their weights."""
+    useful, only = 0, 0
+    for s in range(state.weights.size):
+        if state.weights[s] > 0.0:
+            useful, only = useful + 1, s
+    if useful < 2:
         for place in range(size):
-            line[place] /= whole
-        if way >= LOCKED:
-            mind.steady += total(line, size)
-
-
-@inner
-def places_in(runs: Any) -> int:
-    """R: places of the map; slots without a technique have none."""
-    size = 0
-    for s in range(runs.size):
-        size = max(size, runs[s].references)
-    return size
+            out[place] = state.likelihoods[only, place] if useful else 1.0
+    else:
+        take_logs(state, size)
+        likenesses, likeliest = state.likenesses[which, i], first_highest(state.prior, size)
+        learn_likenesses(likenesses, state.logs, state.weights, size, likeliest)
+        weigh_techniques(likenesses, state.weights, state.sums)
+        multiply(state, size, out)
 
 
 @spliced
-def filter_frame(
-    minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any, tolerance: int
-) -> None:
-    """Take one frame into the belief of route ``i``: what ran on it, and that it passed.
+def filter_frame(state: BeliefState, which: int, i: int, frame: int) -> None:
+    """Take the frame after the last into a belief: what ran on it, and that it passed.
 
-    Leaves each technique's own word in its WITNESS record, what all say in the MIND record, and
-    the belief over places in ``minds.joint``.
-
-    Args:
-        minds: the batch's memory.
-        which: set of it, live or lagged.
-        i: the route.
-        frame: frame index, one more than the last.
-        runs: (S,) RUN records; the rows of what ran are prepared.
-        ran: (S, Q) uint8.
-        tolerance: places off that still count as true.
+    The rows of what ran are prepared.
     """
-    rates, mind, belief = minds.rates, minds.minds[which, i], minds.belief[which, i]
-    size = places_in(runs)
-    same = hear_rows(minds, which, i, frame, runs, ran)
+    route, modes, joint = state.beliefs[which, i], state.modes[which, i], state.joint
+    size, tolerance = state.batch.routes[i].references, state.batch.routes[i].tolerance
     if frame > 0:
-        rise = rates.jump_novel * (mind.strange - rates.jump_usual) if mind.strange > 0.0 else 0.0
-        jump = math.exp(min(max(rise, -3.0), 3.0))
-        stand = rates.stand if same else 1.0
-        move(rates, mind, belief, size, stand, jump, minds.joint, minds.windows)
-    mind.frame = frame
-    weigh_rows(minds, which, i, frame, runs, ran, size, tolerance)
-    now = belief[mind.side]
-    places_of(now, size, minds.joint)
-    whole = total(minds.joint, size)
-    normalise(mind, now, whole, size)
-    conclude(minds, mind, size, tolerance, whole)
-    look_over(minds, which, i, frame, ran, size)
+        predict(modes, size, joint, state.line)
+    route.frame = frame
+    add_modes(modes, MODES, size, state.prior)
+    route.rows = read_rows(state, which, i, frame)
+    factor = state.windows
+    fuse(state, which, i, size, factor)
+    for place in range(size):
+        joint[place] = state.prior[place] * factor[place]
+    whole = total(joint, size)
+    for mode in range(MODES):
+        row = modes[mode]
+        for place in range(size):
+            row[place] *= factor[place] / whole
+    route.p_steady = total(modes[STEADY], size)
+    marginalise(state, route, size, tolerance)
+    route.log_likelihood = 0.0
+    for s in range(state.weights.size):
+        if state.batch.ran[i, s, frame]:
+            known = state.techniques[which, i, s]
+            known.weight = state.weights[s]
+            known.log_likelihood = math.log(state.likelihoods[s, route.place])
+            route.log_likelihood += known.weight * known.log_likelihood
 
 
 @spliced
-def prepare_frame(minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any) -> None:
-    """Prepare the rows that taking in a frame of route ``i`` needs."""
-    for s in range(ran.shape[0]):
-        if ran[s, frame]:
-            last = minds.witnesses[which, i, s].last
-            if last >= 0:
-                prepare(runs[s], last)  # an unpickled bank has forgotten what it knew of its rows
-            prepare(runs[s], frame)
-
-
-@spliced
-def hear(minds: Minds, which: int, i: int, frame: int, runs: Any, ran: Any, tolerance: int) -> None:
-    """Prepare the rows of a frame and take them into the belief of route ``i``."""
-    prepare_frame(minds, which, i, frame, runs, ran)
-    filter_frame(minds, which, i, frame, runs, ran, tolerance)
+def prepare_frame(state: BeliefState, i: int, frame: int) -> None:
+    """Prepare the rows of what ran on a frame."""
+    for s in range(state.weights.size):
+        if state.batch.ran[i, s, frame]:
+            prepare(state.batch.runs[i, s], frame)
 
 
 @without_gil
-def hear_routes(address: int) -> None:
-    """Take the next frame of every active route into its belief.
-
-    Args:
-        address: of the words of a :class:`~amusic_gym.estimation.belief.memory.Minds`.
-    """
-    minds = minds_at(address)
-    batch = minds.batch
-    for i in range(batch.active.size):
-        if batch.active[i]:
-            route = batch.routes[i]
-            hear(minds, 0, i, route.frame + 1, batch.runs[i], batch.ran[i], route.tolerance)
+def filter_routes(address: int) -> None:
+    """Take the next frame of every active route into its belief."""
+    state = state_at(address)
+    for i in range(state.batch.active.size):
+        if state.batch.active[i]:
+            filter_frame(state, LIVE, i, state.batch.routes[i].frame + 1)
 
 
 @compiled
 def prepare_rows(address: int) -> None:
-    """Prepare the rows that :func:`hear_routes` will need: several routes may share them.
-
-    Args:
-        address: of the words of a :class:`~amusic_gym.estimation.belief.memory.Minds`.
-    """
-    minds = minds_at(address)
-    batch = minds.batch
-    for i in range(batch.active.size):
-        if batch.active[i]:
-            prepare_frame(minds, 0, i, batch.routes[i].frame + 1, batch.runs[i], batch.ran[i])
+    """Prepare the rows that :func:`filter_routes` will need: several routes may share them."""
+    state = state_at(address)
+    for i in range(state.batch.active.size):
+        if state.batch.active[i]:
+            prepare_frame(state, i, state.batch.routes[i].frame + 1)
 
 
 @spliced
-def hear_again(minds: Minds, i: int, first: int, stop: int) -> None:
+def run_block(state: BeliefState, i: int, first: int, stop: int) -> None:
     """Go through the frames from ``first`` to before ``stop`` with every row of route ``i``."""
-    batch = minds.batch
+    batch = state.batch
     ran, slots = batch.ran[i], batch.slots[i]
     for s in range(slots.size):
         for frame in range(first, stop):
             if slots[s].present and not ran[s, frame]:
                 slots[s].late_runs += 1
                 ran[s, frame] = True
-    copy_mind(minds, 1, 0, i)
+    restart(state, i)
     for frame in range(first, stop):
-        hear(minds, 0, i, frame, batch.runs[i], ran, batch.routes[i].tolerance)
         for s in range(slots.size):
-            known = minds.witnesses[0, i, s]
+            if slots[s].present and not prepare(batch.runs[i, s], frame):
+                batch.routes[i].bad_row = 1 + s * batch.routes[i].frames + frame
+        filter_frame(state, LIVE, i, frame)
+        for s in range(slots.size):
+            known = state.techniques[LIVE, i, s]
             statistic = known.statistic if slots[s].present else -math.inf
             batch.statistics[i, frame - first, s] = statistic
             batch.corrections[i, s, frame - first] = known.correction
     for s in range(slots.size):
         if slots[s].present:
-            for frame in range(first, stop):
-                if not prepare(batch.runs[i, s], frame):
-                    batch.routes[i].bad_row = 1 + s * batch.routes[i].frames + frame
-            load_result(minds, i, s, stop - 1)
+            load_result(state, i, s, stop - 1)
 
 
 @compiled
@@ -244,91 +198,76 @@ def look_back(address: int) -> None:
 
     The belief before that block is kept apart, and so is brought up to it first; then the block is
     gone through again with every row.
-
-    Args:
-        address: of the words of a :class:`~amusic_gym.estimation.belief.memory.Minds`, two sets.
     """
-    minds = minds_at(address)
-    batch = minds.batch
+    state = state_at(address)
+    batch = state.batch
     for i in range(batch.wanted.size):
-        route = batch.routes[i]
-        stop = route.frame + 1
+        stop = batch.routes[i].frame + 1
         first = max(0, stop - batch.block)
         if batch.wanted[i] or batch.lagging[i]:
-            for frame in range(minds.minds[1, i].frame + 1, first):
-                hear(minds, 1, i, frame, batch.runs[i], batch.ran[i], route.tolerance)
+            for frame in range(state.beliefs[LAGGED, i].frame + 1, first):
+                prepare_frame(state, i, frame)
+                filter_frame(state, LAGGED, i, frame)
         if batch.wanted[i]:
-            hear_again(minds, i, first, stop)
+            run_block(state, i, first, stop)
 
 
 @inner
-def load_result(minds: Minds, i: int, s: int, frame: int) -> None:
+def load_result(state: BeliefState, i: int, s: int, frame: int) -> None:
     """Store a technique's result in its slot."""
-    slot, known = minds.batch.slots[i, s], minds.witnesses[0, i, s]
+    slot, known = state.batch.slots[i, s], state.techniques[LIVE, i, s]
     slot.last_run = frame
     slot.place = known.place
     slot.statistic = known.statistic
     slot.correction = known.correction
     slot.margin = known.margin
-    slot.trust = known.trust
-    slot.sharpness = 0.25 * known.once + 0.5 * known.twice + known.fourfold
-    slot.weight = known.weight
+    slot.weight = known.weight * known.news
     slot.discount = 1.0
-    slot.stored = known.said
-
-
-@spliced
-def load_results(minds: Minds, i: int, frame: int) -> None:
-    """Store the results of the techniques that run on the frame."""
-    batch = minds.batch
-    for s in range(batch.slots[i].size):
-        if batch.slots[i, s].ran:
-            if not prepare(batch.runs[i, s], frame):
-                batch.routes[i].bad_row = 1 + s * batch.routes[i].frames + frame
-            load_result(minds, i, s, frame)
+    slot.stored = known.log_likelihood
 
 
 @inner
-def believe(minds: Minds, i: int) -> None:
-    """Take the place whose surroundings hold most of the belief; estimate correctness.
+def estimate(state: BeliefState, i: int) -> None:
+    """Take the place whose window holds most of the belief; estimate correctness.
 
     The technique trusted is the one of the highest statistic, as in MuSIC; the place is what all
     that ran say together.
     """
-    batch = minds.batch
-    route, mind, b = batch.routes[i], minds.minds[0, i], minds.calibration
+    batch = state.batch
+    route, belief, b = batch.routes[i], state.beliefs[LIVE, i], state.calibration
     if route.prediction < 0 and route.idle:
         return
-    set_prediction(route, mind.place)
-    route.margin = log_ratio(mind.share, mind.rival)
-    route.said = mind.said
-    if mind.heard > 0:
-        route.said_mean += SMOOTHING * (mind.said / mind.heard - route.said_mean)
-    logit = b[0] + b[1] * log_odds(mind.share) + b[2] * route.margin
+    set_prediction(route, belief.place)
+    route.margin = log_ratio(belief.share, belief.rival)
+    route.said = belief.log_likelihood
+    if belief.rows > 0:
+        mean = belief.log_likelihood / belief.rows
+        route.said_mean += SMOOTHING * (mean - route.said_mean)
+    logit = b[0] + b[1] * log_odds(belief.share) + b[2] * route.margin
     logit += b[3] * route.said + b[4] * route.said_mean
     route.confidence = min(max(logit, -30.0), 30.0)
     route.logit = route.confidence
     route.p_correct = sigmoid(logit)
-    route.steady, route.strange = mind.steady, mind.strange
+    route.steady = belief.p_steady
     if not route.idle:
         choose_technique(batch, i)
 
 
 @compiled
 def update_routes(address: int) -> None:
-    """Estimate the active routes' next frame from the belief that has taken it in.
-
-    Args:
-        address: of the words of a :class:`~amusic_gym.estimation.belief.memory.Minds`.
-    """
-    minds = minds_at(address)
-    batch = minds.batch
+    """Estimate the active routes' next frame from the belief that has taken it in."""
+    state = state_at(address)
+    batch = state.batch
     for i in range(batch.active.size):
         if batch.active[i]:
             route = batch.routes[i]
             frame = route.frame + 1
-            load_results(minds, i, frame)
-            believe(minds, i)
+            for s in range(batch.slots[i].size):
+                if batch.slots[i, s].ran:
+                    if not prepare(batch.runs[i, s], frame):
+                        route.bad_row = 1 + s * route.frames + frame
+                    load_result(state, i, s, frame)
+            estimate(state, i)
             relate(batch, i, frame)
             remember(route)
             route.frame = frame

@@ -1,96 +1,21 @@
-"""Where the belief lies: sums over ways of moving and over places within the tolerance."""
+"""Where the belief lies: sums over the places within the tolerance of each."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
-from amusic_gym.estimation.belief.memory import REACH, Minds
-from amusic_gym.estimation.belief.rates import LOCKED, WANDER, WAYS
-from amusic_gym.estimation.belief.trust import likelihood
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.estimation.belief.model import ENOUGH, SURE
+from amusic_gym.estimation.belief.state import BeliefState, RouteBelief, TechniqueBelief
 from amusic_gym.kernels.compiling import apart, inner
-from amusic_gym.kernels.tables import part
-
-SURE = 1e-12
-"""The least probability that a logarithm is taken of."""
-
-ENOUGH = 0.99
-"""Surroundings that hold this share of the most that any do are as good."""
 
 
 @apart
-def places_of(belief: Any, size: int, out: Any) -> None:
-    """Belief over true places, whatever the way of moving."""
-    for c in range(size):
-        out[c] = belief[0, REACH + c]
-    for way in range(1, WAYS):
-        line = part(belief[way], REACH, size)
-        for c in range(size):
-            out[c] += line[c]
-
-
-@inner
-def inside(off: int, size: int) -> tuple[int, int]:
-    """Range of places from which a look ``off`` places ahead stays on the map.
-
-    What would look beyond an end looks like that end.
-    """
-    low = min(max(-off, 0), size)
-    return low, max(min(size - off, size), low)
-
-
-@apart
-def looks_of(belief: Any, size: int, out: Any) -> None:
-    """Belief over the places that the image looks like."""
-    for c in range(size):
-        out[c] = belief[0, REACH + c]
-    for way in range(1, LOCKED + 1):
-        line = part(belief[way], REACH, size)
-        for c in range(size):
-            out[c] += line[c]
-    for way in range(LOCKED + 1, WAYS):
-        line, off = belief[way], way - LOCKED - 1 - WANDER
-        low, high = inside(off, size)
-        for c in range(low):
-            out[0] += line[REACH + c]
-        looks, held = part(out, low + off, high - low), part(line, REACH + low, high - low)
-        for c in range(high - low):
-            looks[c] += held[c]
-        for c in range(high, size):
-            out[size - 1] += line[REACH + c]
-
-
-@apart
-def weigh_places(belief: Any, factor: Any, size: int) -> None:
-    """Multiply every line by the likelihood of the place that it takes the image to look like."""
-    for way in range(LOCKED + 1):
-        line = part(belief[way], REACH, size)
-        for c in range(size):
-            line[c] *= factor[c]
-    for way in range(LOCKED + 1, WAYS):
-        line, off = belief[way], way - LOCKED - 1 - WANDER
-        low, high = inside(off, size)
-        for c in range(low):
-            line[REACH + c] *= factor[0]
-        looks, held = part(factor, low + off, high - low), part(line, REACH + low, high - low)
-        for c in range(high - low):
-            held[c] *= looks[c]
-        for c in range(high, size):
-            line[REACH + c] *= factor[size - 1]
-
-
-@apart
-def rescale(factor: Any, size: int) -> None:
-    """Divide by the highest, so that a product of more factors neither vanishes nor overflows."""
-    most = 0.0
-    for place in range(size):
-        most = max(most, factor[place])
-    for place in range(size):
-        factor[place] /= most
-
-
-@apart
-def window_sums(values: Any, size: int, tolerance: int, out: Any) -> float:
+def window_sums(
+    values: NDArray[np.float64], size: int, tolerance: int, out: NDArray[np.float64]
+) -> float:
     """Sums of ``values`` within the tolerance of each place; returns the sum of all values."""
     within, whole = 0.0, 0.0
     for place in range(min(tolerance, size)):
@@ -106,22 +31,24 @@ def window_sums(values: Any, size: int, tolerance: int, out: Any) -> float:
 
 
 @inner
-def best_window(windows: Any, size: int) -> int:
-    """Place of the highest window sum; of equal ones the first."""
+def first_highest(values: NDArray[np.float64], size: int) -> int:
+    """Place of the highest value; of (almost) equal ones the first."""
     best = 0
     for place in range(1, size):
-        if windows[place] > windows[best] * (1.0 + 1e-9):
+        if values[place] > values[best] * (1.0 + 1e-9):
             best = place
     return best
 
 
 @apart
-def likeliest(values: Any, windows: Any, size: int, tolerance: int) -> int:
+def likeliest(
+    values: NDArray[np.float64], windows: NDArray[np.float64], size: int, tolerance: int
+) -> int:
     """Place that holds most of those whose surroundings hold (almost) most.
 
     Without it, a belief narrower than the tolerance would be placed anywhere within it.
     """
-    best = best_window(windows, size)
+    best = first_highest(windows, size)
     enough, place = ENOUGH * windows[best], best
     for c in range(max(best - tolerance, 0), min(best + tolerance + 1, size)):
         if windows[c] >= enough and values[c] > values[place] * (1.0 + 1e-9):
@@ -130,7 +57,7 @@ def likeliest(values: Any, windows: Any, size: int, tolerance: int) -> int:
 
 
 @apart
-def rival_window(windows: Any, size: int, place: int, tolerance: int) -> float:
+def rival_window(windows: NDArray[np.float64], size: int, place: int, tolerance: int) -> float:
     """Highest sum of a window that shares no place with that of ``place``; 0: there is none."""
     rival = 0.0
     for c in range(max(place - 2 * tolerance, 0)):
@@ -153,35 +80,34 @@ def log_ratio(share: float, rival: float) -> float:
 
 
 @apart
-def testify(
-    known: Any,
-    prior: Any,
-    row: Any,
-    words: Any,
-    top: int,
-    size: int,
-    tolerance: int,
-    joint: Any,
-    windows: Any,
+def single_technique_posterior(
+    state: BeliefState, known: TechniqueBelief, s: int, top: int, size: int, tolerance: int
 ) -> None:
-    """What the technique alone makes of the belief: its place, statistic and correction."""
+    """What one technique's row alone makes of the belief: its place, statistic, correction, margin.
+
+    Args:
+        state: ``prior`` is the belief before the frame, ``likelihoods[s]`` that of the row.
+        known: where they go.
+        s: the technique's slot.
+        top: the row's best place.
+        size: R.
+        tolerance: places off that still count as true.
+    """
+    joint, windows, likelihood = state.joint, state.windows, state.likelihoods[s]
     for place in range(size):
-        joint[place] = prior[place] * likelihood(words, row[place])
+        joint[place] = state.prior[place] * likelihood[place]
     whole = window_sums(joint, size, tolerance, windows)
-    best = likeliest(joint, windows, size, tolerance)
-    known.place = best
-    known.statistic = log_odds(windows[best] / whole)
+    known.place = likeliest(joint, windows, size, tolerance)
+    share = windows[known.place] / whole
+    known.statistic = log_odds(share)
     known.correction = max(known.statistic - log_odds(windows[top] / whole), 0.0)
-    known.margin = log_ratio(
-        windows[best] / whole, rival_window(windows, size, best, tolerance) / whole
-    )
+    known.margin = log_ratio(share, rival_window(windows, size, known.place, tolerance) / whole)
 
 
 @apart
-def conclude(minds: Minds, mind: Any, size: int, tolerance: int, whole: float) -> None:
-    """Find the place whose surroundings hold most of the belief, and its rival."""
-    windows = minds.windows
-    window_sums(minds.joint, size, tolerance, windows)
-    mind.place = likeliest(minds.joint, windows, size, tolerance)
-    mind.share = min(windows[mind.place] / whole, 1.0)
-    mind.rival = rival_window(windows, size, mind.place, tolerance) / whole
+def marginalise(state: BeliefState, route: RouteBelief, size: int, tolerance: int) -> None:
+    """Find the place whose window holds most of the belief, ``joint``, and its rival."""
+    whole = window_sums(state.joint, size, tolerance, state.windows)
+    route.place = likeliest(state.joint, state.windows, size, tolerance)
+    route.share = min(state.windows[route.place] / whole, 1.0)
+    route.rival = rival_window(state.windows, size, route.place, tolerance) / whole

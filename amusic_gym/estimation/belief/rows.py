@@ -1,25 +1,33 @@
-"""A score row, standardised: without hubs, and with how much it weighs."""
+"""From a score row to the likelihood of every place.
+
+A technique's errors last for many frames: the same wrong places score high again and again. So a
+row counts by its news: its z-scores less the technique's mean row of late, as far as the two are
+correlated, over the deviation that each place's news usually has. That the likelihood then grows by
+a factor of e^SLOPE per standard deviation, and does not fall below a floor, is what the true
+places of recordings show, for every technique alike.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from amusic_gym.banks.rows import MASKED, masked_correlation, mean_at, ready_at, row_at, scale_at
-from amusic_gym.estimation.belief.rates import Rates
+from amusic_gym.banks.rows import Run, mean_at, row_at, scale_at
+from amusic_gym.estimation.belief.model import (
+    FLOOR,
+    HIGHEST,
+    HUB_STEP,
+    LEAST_VARIANCE,
+    SLOPE,
+    VARIANCE_STEP,
+)
 from amusic_gym.kernels.compiling import apart, inner
-
-RECENT = 0.1
-"""Weight of the newest value in running means of novelty and contrast."""
-
-NOWHERE = -1000.0
-"""Standardised score of a place that is no candidate."""
 
 
 @inner
-def total(values: Any, size: int) -> float:
+def total(values: NDArray[np.float64], size: int) -> float:
     """Sum of the first ``size`` values, in four lanes."""
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     for four in range(size // 4):
@@ -34,69 +42,75 @@ def total(values: Any, size: int) -> float:
 
 
 @apart
-def novelty_of(run: Any, frame: int, last: int) -> float:
-    """1 − correlation of a technique's rows of two frames; −1 if one of them is constant."""
-    row, before = row_at(run, frame), row_at(run, last)
-    size = row.size
-    scale = scale_at(run, frame)[0] * scale_at(run, last)[0]
-    if scale == 0.0:
-        return -1.0
-    if ready_at(run, frame)[0] == MASKED or ready_at(run, last)[0] == MASKED:
-        return min(max(1.0 - masked_correlation(run, last, run, frame, 0), 0.0), 2.0)
-    shift = mean_at(run, frame)[0]
-    a, b, c, d = 0.0, 0.0, 0.0, 0.0
-    even = size - size % 4
-    for i in range(0, even, 4):
-        a += (row[i] - shift) * before[i]
-        b += (row[i + 1] - shift) * before[i + 1]
-        c += (row[i + 2] - shift) * before[i + 2]
-        d += (row[i + 3] - shift) * before[i + 3]
-    for i in range(even, size):
-        a += (row[i] - shift) * before[i]
-    correlation: float = ((a + b) + (c + d)) * scale / size
-    return min(max(1.0 - correlation, 0.0), 2.0)
+def share_of_hub(run: Run, frame: int, hub: NDArray[np.float64], out: NDArray[np.float64]) -> float:
+    """Correlation of a row with the mean row, from 0 to 1; its z-scores (R,) go to ``out``.
 
-
-@apart
-def standardise(rates: Rates, run: Any, frame: int, count: float, hubs: Any, out: Any) -> None:
-    """Write the row's z-scores, without what each place usually gets, to ``out``; learn of them.
-
-    A place that is no candidate gets `NOWHERE`, and nothing is learned of it.
+    A place that is no candidate has none there, and 0 in ``out``.
     """
     row, mean, scale = row_at(run, frame), mean_at(run, frame)[0], scale_at(run, frame)[0]
-    usual, spread = hubs[0], hubs[1]
-    known = count / (count + rates.hub_count)
-    shift, narrow = rates.hub * known, rates.hub_spread * known
-    step = 1.0 / (min(count, rates.hub_memory) + 1.0) if scale > 0.0 else 0.0
-    most = rates.most
+    product, square, of_hub = 0.0, 0.0, 1e-12
     for place in range(row.size):
-        if row[place] == -math.inf:
-            out[place] = NOWHERE if scale > 0.0 else 0.0
-            continue
-        z = (row[place] - mean) * scale
-        centred = z - usual[place]
-        variance = 1.0 + narrow * (spread[place] - 1.0)
-        value = (z - shift * usual[place]) / math.sqrt(max(variance, 0.05))
-        out[place] = min(max(value, -most), most)
-        usual[place] += step * centred
-        spread[place] += step * (centred * (z - usual[place]) - spread[place])
+        z = (row[place] - mean) * scale if row[place] != -math.inf else 0.0
+        out[place] = z
+    for place in range(row.size):
+        product += out[place] * hub[place]
+        square += out[place] * out[place]
+        of_hub += hub[place] * hub[place]
+    return min(max(product / math.sqrt(square * of_hub), 0.0), 1.0)
 
 
 @apart
-def listen(rates: Rates, known: Any, run: Any, frame: int, hubs: Any, out: Any) -> float:
-    """Take in a technique's row: its standardised scores and weight; its novelty, −1 for none."""
-    scale = scale_at(run, frame)[0]
-    contrast = 1.0 / scale if scale > 0.0 else 0.0
-    novelty = -1.0
-    known.weight = 1.0 if scale > 0.0 else 0.0
-    if known.last >= 0:
-        novelty = novelty_of(run, frame, known.last)
-        if novelty >= 0.0:
-            known.weight *= rates.repeat + (1.0 - rates.repeat) * min(1.0, novelty / rates.novel)
-        if contrast < known.contrast:
-            known.weight *= (contrast / known.contrast) ** rates.contrast
-        known.contrast += RECENT * (contrast - known.contrast)
-    else:
-        known.contrast = contrast
-    standardise(rates, run, frame, known.count, hubs, out)
-    return novelty
+def row_likelihood(
+    run: Run,
+    frame: int,
+    rows: float,
+    hub: NDArray[np.float64],
+    variance: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> float:
+    """Write the likelihood of every place, 1 on average, to ``out``; learn of the row.
+
+    A place that is no candidate gets the floor, and nothing is learned of it.
+
+    Args:
+        run: of the technique; the row is prepared, and not constant.
+        frame: of the row.
+        rows: of the technique before this one.
+        hub: (R,) mean row.
+        variance: (R,) of each place's news.
+        out: (R,).
+
+    Returns:
+        Factor on the scores, at most 1, less for a row with less news than usual.
+    """
+    row = row_at(run, frame)
+    size = row.size
+    known = share_of_hub(run, frame, hub, out)
+    step = HUB_STEP if rows > 0.0 else 1.0
+    spread = max(VARIANCE_STEP, 1.0 / (rows + 2.0))
+    for place in range(size):
+        candidate = 1.0 if row[place] != -math.inf else 0.0
+        z = out[place]
+        news = candidate * (z - known * hub[place])
+        hub[place] += candidate * step * (z - hub[place])
+        out[place] = news / math.sqrt(max(variance[place], LEAST_VARIANCE))
+        variance[place] += candidate * spread * (news * news - variance[place])
+    mean = total(out, size) / size
+    square = 0.0
+    for place in range(size):
+        square += (out[place] - mean) * (out[place] - mean)
+    deviation = math.sqrt(square / size)
+    news_share = math.sqrt(min(deviation, 1.0))
+    scale = SLOPE * news_share / max(deviation, 1e-9)
+    for place in range(size):
+        out[place] = math.exp(scale * min(out[place] - mean, HIGHEST * deviation))
+    candidates = 0.0
+    for place in range(size):
+        if row[place] == -math.inf:
+            out[place] = 0.0
+        else:
+            candidates += 1.0
+    factor = (1.0 - FLOOR) * candidates / total(out, size)
+    for place in range(size):
+        out[place] = factor * out[place] + FLOOR
+    return news_share

@@ -15,7 +15,7 @@ from env_cases import assert_same, random_actions, random_bank
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
-from amusic_gym.estimation.belief.filter import hear_routes, prepare_rows
+from amusic_gym.estimation.belief.filter import filter_routes, prepare_rows
 
 pytestmark = pytest.mark.slow
 
@@ -110,12 +110,12 @@ def test_an_interrupt_waits_for_the_other_threads(monkeypatch):
         if threading.current_thread() is threading.main_thread():
             raise KeyboardInterrupt
         time.sleep(0.3)
-        hear_routes(address)
+        filter_routes(address)
         written.append(time.monotonic())
 
     env = make(2)
     env.reset(seed=0)
-    monkeypatch.setattr("amusic_gym.estimation.belief.estimator.hear_routes", slow)
+    monkeypatch.setattr("amusic_gym.estimation.belief.estimator.filter_routes", slow)
     with pytest.raises(KeyboardInterrupt):
         env.step(np.ones((5, 3)))
     interrupted = time.monotonic()
