@@ -104,7 +104,7 @@ def test_demo_from_worlds_to_page(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(demo_tours, "SEEDS", (1, 2))
     monkeypatch.setattr(demo_tours, "EXECUTOR", "serial")
     monkeypatch.setattr(demo_tours, "TECHNIQUES", ("hog", "cohog"))
-    worlds = [demo_tours.World("corridor", 1, "night"), demo_tours.World("rail", 2, "rain")]
+    worlds = [demo_tours.DemoWorld("corridor", 1, "night"), demo_tours.DemoWorld("rail", 2, "rain")]
     monkeypatch.setattr(demo_tours, "WORLDS", worlds)
     monkeypatch.setattr(demo_tours, "OF_DRIVE", 3)
     monkeypatch.delenv("AMUSIC_DATA", raising=False)
