@@ -1,6 +1,8 @@
 # Every target sets up .venv first when it is missing or when requirements.lock or pyproject.toml
 # changed. Needs only Python >= 3.11 with pip, and make.
 #
+#   make check                           lint, types and the quick tests: while you work
+#   make test                            lint, types and all tests: before you send a change
 #   make demo ARGS="--bank MY_BANK"      extra arguments for the command behind a target
 #   make test ARGS="-k sic" WORKERS=8    tests by name, on eight processes
 #   make setup PYTHON=/path/to/python3   another interpreter
@@ -17,11 +19,11 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 PACKAGES := amusic_gym baselines agents scripts tests
 
-.PHONY: help setup demo test lint format bench train-default clean
+.PHONY: help setup demo check test lint format bench train-default clean
 
 help:
 	@sed -n '/^#/!q; s/^# \{0,1\}//p' Makefile
-	@echo; echo "Targets: setup demo test lint format bench train-default clean"
+	@echo; echo "Targets: setup demo check test lint format bench train-default clean"
 
 setup: $(STAMP)
 
@@ -56,7 +58,10 @@ demo: setup
 	$(PY) scripts/demo.py --out out/demo $(ARGS)
 
 # Small arrays on several processes: one thread each is fastest.
-test: export OMP_NUM_THREADS ?= 1
+check test: export OMP_NUM_THREADS ?= 1
+check: lint
+	$(PY) -m pytest -n $(WORKERS) --dist worksteal -m "not slow" $(ARGS)
+
 test: lint
 	$(PY) -m pytest -n $(WORKERS) --dist worksteal $(ARGS)
 

@@ -1,16 +1,19 @@
-"""Banks that many tests share."""
+"""Fixtures that many tests share: banks, commands and a selector."""
 
 from __future__ import annotations
 
 import os
+import runpy
 import signal
 import sys
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import golden
 import pytest
 from env_cases import random_bank
+from script_cases import SCRIPTS, Done
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.cli import start
@@ -52,3 +55,38 @@ def amusic(monkeypatch, capsys) -> Callable[..., tuple[int, str, str]]:
         return ended.value.code or 0, *capsys.readouterr()
 
     return run_command
+
+
+@pytest.fixture
+def run_script(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., Done]:
+    """Runs a script here, as `python SCRIPT ARGUMENTS` would."""
+
+    def here(script: str, *arguments: object) -> Done:
+        path = SCRIPTS / script
+        monkeypatch.syspath_prepend(str(path.parent))
+        monkeypatch.setattr(sys, "argv", [str(path), *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            runpy.run_path(str(path), run_name="__main__")
+        assert isinstance(end.value.code, int)
+        return Done(end.value.code, *capsys.readouterr())
+
+    return here
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run folder whose selector was never trained."""
+    import torch
+    from amusic_agents import run_folder
+    from amusic_agents.network import NetworkConfig, SelectorNetwork
+
+    folder = tmp_path_factory.mktemp("run")
+    torch.manual_seed(0)
+    config = NetworkConfig()
+    run_folder.write_selector(folder, SelectorNetwork(config), config)
+    run_folder.write_config(
+        folder, {"versions": run_folder.versions("evidence"), "environment": {}}
+    )
+    return folder

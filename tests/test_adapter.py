@@ -16,6 +16,8 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.observation import ROUTE_FEATURES
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
+pytestmark = pytest.mark.slow
+
 BANKS = [random_bank(1), random_bank(2, queries=7, references=90), random_bank(3, queries=25)]
 
 

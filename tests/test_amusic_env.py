@@ -18,6 +18,8 @@ from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.estimation.settings import STATISTICS, SICSettings
 from amusic_gym.evaluation.rollout import Job, rollout, rollouts
 
+pytestmark = pytest.mark.slow
+
 techniques = st.integers(1, 16)
 blocks = st.integers(1, 7)
 shares = st.sampled_from([0.1, 0.3, 0.5, 0.7, 0.9, 1.0])

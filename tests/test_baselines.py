@@ -12,7 +12,7 @@ from amusic_baselines import POLICIES, make_policy
 from amusic_baselines.cascade import Cascade
 from amusic_baselines.uniform import Uniform
 from env_cases import random_bank
-from test_rollout import assert_same
+from rollout_cases import assert_same
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.env import TechniqueSelectionEnv

@@ -23,6 +23,8 @@ from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.routes.retime import retime
 from amusic_gym.routes.simulate import simulate
 
+pytestmark = pytest.mark.slow
+
 seeds = st.integers(0, 2**32)
 
 

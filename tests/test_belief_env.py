@@ -19,6 +19,8 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
+pytestmark = pytest.mark.slow
+
 cached_pair = cache(pair)
 BELIEF = {"statistic": "belief", "allow_idle": True}
 

@@ -16,6 +16,8 @@ from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.estimation import calibration
 from amusic_gym.estimation.settings import STATISTICS
 
+pytestmark = pytest.mark.slow
+
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 
 

@@ -24,6 +24,8 @@ from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.estimation.sic import state as kernels
 from amusic_gym.estimation.sic.correction import SIC
 
+pytestmark = pytest.mark.slow
+
 TWINS = [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))]
 
 cached_pair = cache(pair)

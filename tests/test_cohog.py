@@ -19,6 +19,8 @@ from amusic_gym.techniques.cohog import (
     regions_of_interest,
 )
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def cohog():

@@ -15,6 +15,8 @@ from hypothesis import strategies as st
 
 from amusic_gym.routes.conditions import CONDITIONS, PLAIN, STRENGTH, Change, Condition
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parent.parent
 CHANGING = [name for name in CONDITIONS if name != PLAIN]
 parametrized = pytest.mark.parametrize("name", CHANGING)

@@ -16,6 +16,8 @@ from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.policies.protocol import Context
 from amusic_gym.policies.trace import Trace
 
+pytestmark = pytest.mark.slow
+
 
 def load(names: tuple[str, ...] = corridor.TECHNIQUES) -> ScoreBank:
     scores, techniques, seconds, truth = corridor.load(names)

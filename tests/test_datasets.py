@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_images import encoded, picture
+from image_cases import encoded, picture
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.routes import datasets

@@ -14,6 +14,8 @@ from amusic_gym.cli import demo_story as story
 from amusic_gym.evaluation.study import rivals
 from amusic_gym.routes.simulate import simulate
 
+pytestmark = pytest.mark.slow
+
 
 def row(policy: str, auc: float, compute: float, weight: float | None = None) -> dict:
     return {
@@ -102,7 +104,7 @@ def test_demo_from_worlds_to_page(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(demo_tours, "SEEDS", (1, 2))
     monkeypatch.setattr(demo_tours, "EXECUTOR", "serial")
     monkeypatch.setattr(demo_tours, "TECHNIQUES", ("hog", "cohog"))
-    worlds = [demo_tours.World("corridor", 1, "night"), demo_tours.World("rail", 2, "rain")]
+    worlds = [demo_tours.DemoWorld("corridor", 1, "night"), demo_tours.DemoWorld("rail", 2, "rain")]
     monkeypatch.setattr(demo_tours, "WORLDS", worlds)
     monkeypatch.setattr(demo_tours, "OF_DRIVE", 3)
     monkeypatch.delenv("AMUSIC_DATA", raising=False)

@@ -13,6 +13,8 @@ from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.estimation.sic import state as sic
 from amusic_gym.estimation.sic.sums import TILE
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 10_000
 QUERIES, PLACES, WIDTH = 40, 16, 3
 NOWHERE = np.full(QUERIES, -1)

@@ -20,6 +20,8 @@ from amusic_gym.extraction.processes import Processes
 from amusic_gym.utils import threads
 from amusic_gym.utils.threads import alone, one_thread
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parent.parent
 
 
@@ -85,7 +87,7 @@ with Processes(2).workers(Tiny()) as workers:
 
 
 def test_ctrl_c_does_not_reach_workers():
-    paths = [str(folder) for folder in (ROOT, ROOT / "tests")]
+    paths = [str(folder) for folder in (ROOT, ROOT / "tests/support")]
     done = subprocess.run(  # of its own: the very first worker of a process is a special case
         [sys.executable, "-W", "error", "-c", INTERRUPTED],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_images import encoded, picture
+from image_cases import encoded, picture
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.ground_truth import GroundTruth

@@ -21,6 +21,8 @@ from amusic_gym.policies.protocol import Context
 from amusic_gym.policies.trace import Trace
 from amusic_gym.techniques import make_technique
 
+pytestmark = pytest.mark.slow
+
 FIGURES = {  # policy -> the area to three digits; the paper has it to two
     "raw:HOG": 0.028,
     "raw:CALC": 0.130,

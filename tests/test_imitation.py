@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from amusic_agents import imitation, records
-from amusic_agents.config import ImitationConfig, NetworkConfig, TrainingConfig, training_config
+from amusic_agents.config import ImitationConfig, NetworkConfig, TrainingConfig
 from amusic_agents.evaluation import Evaluation
 from amusic_agents.imitation import ImitationLearner, cross_entropy
 from amusic_agents.network import PRESENT, ROUTE_WIDTH, WIDTH, SelectorNetwork
@@ -31,7 +31,7 @@ from amusic_baselines.amusic import AMuSIC
 from amusic_baselines.cascade import Cascade
 from env_cases import random_bank
 from safetensors.torch import load_file
-from small_training import SMALL, Quick, contents, stop_at
+from small_training import SMALL, Quick, contents, small, stop_at
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.cli import teacher as teachers
@@ -40,6 +40,8 @@ from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation.metrics import compute
 from amusic_gym.evaluation.rollout import Job, rollout, rollouts
 from amusic_gym.policies.protocol import Needs
+
+pytestmark = pytest.mark.slow
 
 STATISTIC = SICSettings.statistic
 WEIGHTS = (0.1, 1.0)
@@ -50,14 +52,6 @@ def quick():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("amusic_agents.records.HeldOut", Quick)
         yield
-
-
-def small(algorithm: str = "imitation", **changes) -> TrainingConfig:
-    """Three rounds of 4 · 20 frames, then 96 frames of PPO."""
-    settings = {"rounds": 3, "frames": 80, "epochs": 2, "batch_size": 64}
-    settings |= changes.pop("imitation", {})
-    given = {**SMALL, "timesteps": 96, "imitation": ImitationConfig(**settings), **changes}
-    return training_config(algorithm, **given)
 
 
 def banks(first: int = 0, number: int = 4) -> list[ScoreBank]:

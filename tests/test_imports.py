@@ -170,6 +170,19 @@ def test_no_module_imports_what_imports_it():
     graphlib.TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
 
 
+def test_what_tests_share_stands_in_their_support_folder():
+    """No test module is imported, neither by another nor by a helper."""
+    folder = ROOT / "tests"
+    wrong = []
+    for file in files(folder):
+        for name in imports(file.read_text(encoding="utf-8")):
+            if name.removeprefix("tests.").startswith("test_"):
+                wrong.append(f"{file.relative_to(ROOT)} imports {name}")
+    assert not wrong
+    tests = {file.name for file in folder.glob("test_*.py")}
+    assert {file.name for file in folder.glob("*.py")} == tests | {"conftest.py"}
+
+
 def test_the_walk_sees_every_kind_of_import():
     source = """
 from __future__ import annotations

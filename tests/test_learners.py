@@ -36,6 +36,8 @@ from amusic_gym.envs.sources import Banks
 from amusic_gym.estimation.settings import BLOCK, SICSettings
 from amusic_gym.evaluation.rollout import Job, rollout, rollouts
 
+pytestmark = pytest.mark.slow
+
 STATISTIC = SICSettings.statistic
 
 

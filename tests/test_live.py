@@ -247,7 +247,7 @@ def test_a_stream_ends_with_its_last_frame(knows):
 
 @pytest.mark.parametrize(
     ("statistic", "longest", "shape"),
-    [("evidence", "sums", (2, 1, 3, 20 + 512)), ("belief", "hubs", (2, 1, 3, 2, 20))],
+    [("evidence", "sums", (2, 1, 3, 20 + 512)), ("belief", "hubs", (2, 1, 3, 20))],
 )
 def test_the_memory_of_an_endless_route_is_bounded_but_for_what_ran(statistic, longest, shape):
     images = traverse(40, 2)

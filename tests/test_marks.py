@@ -14,7 +14,7 @@ from amusic_agents.selector import learned_from_truth
 from amusic_agents.shipped import SHIPPED, shipped
 from env_cases import random_bank
 from small_training import SMALL
-from test_study import EVERYBODY, learned, plan_of
+from study_cases import EVERYBODY, learned, plan_of
 
 from amusic_gym.evaluation import study
 from amusic_gym.evaluation.comparison import compare, table
@@ -24,6 +24,8 @@ from amusic_gym.evaluation.study.figures import _styles
 from amusic_gym.evaluation.study.lineup import Lineup
 from amusic_gym.evaluation.study.tables import tables
 from amusic_gym.evaluation.tables import Table, footnote, marked
+
+pytestmark = pytest.mark.slow
 
 NEEDS = {"oracle": "of the route itself", "switchhit": "of routes to learn from"}
 

@@ -21,6 +21,8 @@ from amusic_gym.extraction import extract
 from amusic_gym.routes.video import VideoFile, VideoWriter
 from amusic_gym.techniques import Technique
 
+pytestmark = pytest.mark.slow
+
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 PLACES, FRAMES = 12, 8
 COUNTING = f"{__name__}:Counting"

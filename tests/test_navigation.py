@@ -10,12 +10,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from amusic_baselines import POLICIES, make_policy
-from live_cases import NAMES, CountingMap, Stream, bank_of, live_of, maps_of, pair, traverse
+from amusic_baselines import POLICIES
+from live_cases import (
+    NAMES,
+    CountingMap,
+    Stream,
+    bank_of,
+    live_of,
+    maps_of,
+    pair,
+    policy_on,
+    traverse,
+)
 
 from amusic_gym.evaluation.rollout import Job, rollout, rollouts
-from amusic_gym.live.navigation import Sighting, TraceWriter, navigate
-from amusic_gym.policies.protocol import Context, Localiser
+from amusic_gym.live.navigation import FrameResult, TraceWriter, navigate
+from amusic_gym.policies.protocol import Localiser
 from amusic_gym.policies.trace import CSV_COLUMNS, Trace
 
 ARGUMENTS = {
@@ -44,10 +54,6 @@ SPECS = [
 BOUNDS = ("oracle",)
 
 cached_pair = cache(pair)
-
-
-def make(spec, route, seed=3):
-    return make_policy(spec, Context.of(route, statistic="evidence", seed=seed))
 
 
 def ppo():
@@ -79,7 +85,7 @@ def test_every_policy_of_the_registry_is_tested():
 @pytest.mark.parametrize("spec", [*SPECS, "ppo"])
 def test_every_policy_says_what_it_says_on_a_bank(spec):
     bank, live = cached_pair(60, 40)
-    first, second = (ppo() if spec == "ppo" else make(spec, b) for b in (bank, live))
+    first, second = (ppo() if spec == "ppo" else policy_on(spec, b) for b in (bank, live))
     wanted = rollout(first, bank, name=spec, compute_weight=0.5)
     assert_same_traces(rollout(second, live, name=spec, compute_weight=0.5), wanted)
     if spec in ("cascade", "amusic", "random:0.4", "periodic:5", "voi", "voi:idle"):
@@ -90,15 +96,17 @@ def test_every_policy_says_what_it_says_on_a_bank(spec):
 def test_what_needs_all_scores_beforehand_is_refused(spec):
     _, live = cached_pair(60, 40)
     with pytest.raises(ValueError, match="live route 'pair': a policy that needs all scores and"):
-        make(spec, live)
+        policy_on(spec, live)
 
 
 def test_several_routes_banks_and_live_ones():
     bank, live = cached_pair(60, 40)
     jobs = [Job(live, 0.1), Job(bank, 0.1), Job(live, 2.0)]
-    traces = rollouts(make("amusic", bank), jobs, name="a")
+    traces = rollouts(policy_on("amusic", bank), jobs, name="a")
     for trace, job in zip(traces, jobs, strict=True):
-        alone = rollout(make("amusic", bank), bank, name="a", compute_weight=job.compute_weight)
+        alone = rollout(
+            policy_on("amusic", bank), bank, name="a", compute_weight=job.compute_weight
+        )
         assert_same_traces(trace, alone)
 
 
@@ -107,7 +115,7 @@ def test_a_trace_needs_ground_truth_and_an_end():
     for frames in (images, Stream(images)):
         live = live_of(maps, frames)
         with pytest.raises(ValueError, match="'pair' has no ground truth, which a trace is"):
-            rollout(make("music", live), live, name="m")
+            rollout(policy_on("music", live), live, name="m")
 
 
 # ---- frame by frame ----------------------------------------------------------------------------
@@ -117,7 +125,7 @@ def test_frames_come_when_they_are_asked_for():
     maps = [CountingMap(one) for one in maps_of(20)]
     stream = Stream(traverse(30, 2))
     live = live_of(maps, stream)
-    drive = navigate(make("subset:HOG+CALC", live), live)
+    drive = navigate(policy_on("subset:HOG+CALC", live), live)
     assert stream.next == 0
     for frame, seen in enumerate(islice(drive, 7)):
         assert seen.frame == frame == stream.next - 1
@@ -131,8 +139,8 @@ def test_frames_come_when_they_are_asked_for():
 def test_a_stream_is_driven_to_its_end(spec, knows):
     maps, images = maps_of(20), traverse(45, 2)
     bank, live = bank_of(maps, images), live_of(maps, Stream(images, knows))
-    wanted = rollout(make(spec, bank), bank, name=spec)
-    policy = make(spec, live)
+    wanted = rollout(policy_on(spec, bank), bank, name=spec)
+    policy = policy_on(spec, live)
     for _ in range(2):
         seen = list(navigate(policy, live))
         assert [s.frame for s in seen] == list(range(45))
@@ -149,7 +157,7 @@ def test_a_stream_is_driven_to_its_end(spec, knows):
 
 def test_the_times_of_a_frame_are_told():
     _, live = cached_pair(60, 40)
-    for seen in navigate(make("amusic", live), live):
+    for seen in navigate(policy_on("amusic", live), live):
         np.testing.assert_array_equal(seen.run_milliseconds > 0, seen.ran | (seen.late_runs > 0))
         assert seen.milliseconds > seen.run_milliseconds.sum()
         assert seen.read_milliseconds > 0
@@ -158,7 +166,7 @@ def test_the_times_of_a_frame_are_told():
 @pytest.mark.parametrize("spec", [*SPECS, "ppo"])
 def test_navigation_adds_less_than_two_milliseconds(spec):
     _, live = cached_pair(60, 40)
-    policy = ppo() if spec == "ppo" else make(spec, live)
+    policy = ppo() if spec == "ppo" else policy_on(spec, live)
     over = [s.milliseconds - 1.15 * s.run_milliseconds.sum() for s in navigate(policy, live)]
     assert np.quantile(over, 0.25) < 2.0  # a busy machine delays some frames by more
 
@@ -198,35 +206,35 @@ def read(path: Path) -> list[list[str]]:
 @pytest.mark.parametrize("spec", ["amusic", "raw:CALC"])
 def test_the_csv_is_that_of_a_trace_and_the_milliseconds(spec, tmp_path):
     _, live = cached_pair(60, 40)
-    whole = read(rollout(make(spec, live), live, name=spec).write_csv(tmp_path / "whole.csv"))
+    whole = read(rollout(policy_on(spec, live), live, name=spec).write_csv(tmp_path / "whole.csv"))
     path = tmp_path / "new" / "live.csv"
-    seen: list[Sighting] = []
+    seen: list[FrameResult] = []
     with TraceWriter(path, live) as writer:
-        for sighting in navigate(make(spec, live), live):
-            writer.write(sighting)
-            seen.append(sighting)
+        for result in navigate(policy_on(spec, live), live):
+            writer.write(result)
+            seen.append(result)
             assert len(read(path)) == 1 + len(seen)  # at once
     head, *lines = read(path)
     count = len(CSV_COLUMNS)
     names = [f"{name}_milliseconds" for name in NAMES]
     assert head[count:] == ["milliseconds", "read_milliseconds", *names]
     assert [line[:count] for line in (head, *lines)] == whole
-    for line, sighting in zip(lines, seen, strict=True):
-        times = [sighting.milliseconds, sighting.read_milliseconds, *sighting.run_milliseconds]
+    for line, result in zip(lines, seen, strict=True):
+        times = [result.milliseconds, result.read_milliseconds, *result.run_milliseconds]
         assert line[count:] == [f"{value:.3f}" for value in times]
 
 
 def test_the_csv_is_whole_after_ctrl_c_and_needs_no_truth(tmp_path):
     live = live_of(maps_of(9), traverse(9, 2))
-    policy = make("music", live)
+    policy = policy_on("music", live)
     writer = TraceWriter(tmp_path / "t.csv", live)
 
     def drive() -> None:
         with writer:
-            for sighting in navigate(policy, live):
-                if sighting.frame == 4:
+            for result in navigate(policy, live):
+                if result.frame == 4:
                     raise KeyboardInterrupt
-                writer.write(sighting)
+                writer.write(result)
 
     with pytest.raises(KeyboardInterrupt):
         drive()

@@ -17,6 +17,8 @@ import pytest
 from scipy import stats
 from sklearn import metrics as sklearn_metrics
 
+pytestmark = pytest.mark.slow
+
 STATISTICS = ("mean", "evidence")
 FRAMES = range(golden.SCORES.shape[1])
 

@@ -26,13 +26,15 @@ from amusic_baselines.scores import best_outside, scaled, standardised
 from amusic_baselines.switchhit import Experience, SwitchHit, simulated
 from env_cases import noisy_bank, random_bank
 from live_cases import pair
-from test_rollout import assert_same
+from rollout_cases import assert_same
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.evaluation.metrics import summarise
 from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.policies.protocol import Context, Localiser
 from amusic_gym.policies.registry import parse
+
+pytestmark = pytest.mark.slow
 
 SPECS = [
     *("raw:T1", "single:T0", "subset:T0+T2", "music", "amusic", "amusic:evidence", "random:0.5"),

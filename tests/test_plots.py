@@ -26,6 +26,8 @@ from amusic_gym.policies.registry import parse, policies
 from amusic_gym.policies.trace import Trace
 from amusic_gym.utils import colours
 
+pytestmark = pytest.mark.slow
+
 NAMES = ("HOG", "CALC", "CoHOG", "$odd_name$")
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from amusic_agents import policy_iteration, records
-from amusic_agents.config import RolloutConfig, TrainingConfig, training_config
+from amusic_agents.config import RolloutConfig, TrainingConfig
 from amusic_agents.network import PRESENT, ROUTE_WIDTH, WIDTH
 from amusic_agents.policy_iteration import (
     ACTION_REPEAT,
@@ -44,7 +44,7 @@ from amusic_agents.training import train
 from env_cases import random_actions, random_bank
 from live_cases import pair
 from safetensors.torch import load_file
-from small_training import SMALL, Quick, contents, stop_at
+from small_training import SMALL, TRIED, Quick, contents, small_rollouts, stop_at
 from stable_baselines3.common.callbacks import CheckpointCallback
 
 from amusic_gym.banks.bank import ScoreBank
@@ -56,13 +56,10 @@ from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation.rollout import rollout
 
+pytestmark = pytest.mark.slow
+
 STATISTIC = SICSettings.statistic
 TRUST = TECHNIQUE_FEATURES.index("trust")
-TRIED: dict[str, Any] = {
-    **{"iterations": 4, "states": 8, "kept": 2, "subsets": 4, "hold": 2, "horizon": 6},
-    **{"every": 3, "epochs": 2, "batch_size": 4},
-}
-"""Four iterations of eight states; of the last two's is learned."""
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -70,11 +67,6 @@ def quick():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("amusic_agents.records.HeldOut", Quick)
         yield
-
-
-def small(**changes) -> TrainingConfig:
-    tried = RolloutConfig(**{**TRIED, **changes.pop("rollouts", {})})
-    return training_config("rollouts", **{**SMALL, "rollouts": tried, **changes})
 
 
 def banks() -> list[ScoreBank]:
@@ -175,7 +167,7 @@ def test_live_routes_are_not_copied(tmp_path):
     with pytest.raises(ValueError, match="a live route cannot be copied; give score banks"):
         env.task.repeated(2)
     with pytest.raises(ValueError, match="a live route cannot be copied; give score banks"):
-        train(tmp_path, small(n_envs=1), banks=[pair()[1]], progress=False)
+        train(tmp_path, small_rollouts(n_envs=1), banks=[pair()[1]], progress=False)
 
 
 # ---- what subsets are tried ----------------------------------------------------------------
@@ -469,7 +461,7 @@ def test_the_technique_that_is_always_right_is_found(tmp_path):
         0.5,
     )
     tried = {"iterations": 2, "states": 320, "subsets": 7, "hold": 6, "horizon": 12}
-    config = small(
+    config = small_rollouts(
         n_envs=16,
         compute_weights=(weight, weight),
         rollouts={**tried, "epochs": 20, "batch_size": 32, "learning_rate": 4e-3},
@@ -485,7 +477,7 @@ def whole(tmp_path_factory, quick) -> Path:
     """A training that was not stopped, beside its banks."""
     folder = tmp_path_factory.mktemp("whole")
     folders = [bank.save(folder / bank.name) for bank in banks()]
-    train(folder / "run", small(), banks=folders, progress=False)
+    train(folder / "run", small_rollouts(), banks=folders, progress=False)
     return folder / "run"
 
 
@@ -493,7 +485,7 @@ def test_the_run_folder_tells_how_it_went(whole):
     assert {p.name for p in whole.iterdir()} == {CONFIG, SELECTOR, CHECKPOINT, EVALUATIONS}
     rows = (whole / EVALUATIONS).read_text().splitlines()[1:]
     assert [row.split(",")[0] for row in rows] == ["8", "16", "24", "32"]
-    assert stored_config(whole) == small()
+    assert stored_config(whole) == small_rollouts()
     assert [Path(bank).name for bank in stored_banks(whole)] == ["bank2", "bank3", "bank4"]
     seen = {name for name in load_file(whole / CHECKPOINT) if name.startswith("seen.")}
     assert seen == {f"seen.{i}.{name}" for i in range(2) for name in Samples._fields}
@@ -513,7 +505,7 @@ def test_the_last_iterations_are_learned_from_but_the_first_only_at_first(
         return learn(network, seen, settings, rng)
 
     monkeypatch.setattr(policy_iteration, "learn", noting)
-    train(tmp_path, small(), banks=stored_banks(whole), progress=False)
+    train(tmp_path, small_rollouts(), banks=stored_banks(whole), progress=False)
     first, second, third, fourth = learned
     assert [len(seen) for seen in learned] == [1, 1, 2, 2]
     assert first != second
@@ -534,7 +526,7 @@ def test_the_selector_loads_and_drives_any_techniques(whole):
 def test_the_same_seed_gives_the_same_bits_and_another_seed_others(whole, tmp_path):
     folders = stored_banks(whole)
     for seed in (0, 1):
-        config = small(seed=seed)
+        config = small_rollouts(seed=seed)
         train(tmp_path / str(seed), config, banks=folders, progress=False)
     assert contents(tmp_path / "0") == contents(whole)
     assert (tmp_path / "1" / SELECTOR).read_bytes() != (whole / SELECTOR).read_bytes()
@@ -544,7 +536,7 @@ def test_processes_change_nothing_in_what_is_learned(whole, tmp_path):
     tried = {"iterations": 1, "states": policy_iteration.PART + 1, "horizon": 3, "every": 1}
     found = []
     for threads in (1, 2):
-        config = small(n_envs=100, threads=threads, rollouts={**tried, "epochs": 1})
+        config = small_rollouts(n_envs=100, threads=threads, rollouts={**tried, "epochs": 1})
         run = tmp_path / str(threads)
         train(run, config, banks=stored_banks(whole), progress=False)
         found.append(contents(run))
@@ -570,22 +562,22 @@ def test_a_stopped_training_keeps_what_is_finished_and_goes_on_to_the_same_bits(
     with monkeypatch.context() as patch:
         stop_at(patch, owner, name, call)
         with pytest.raises(KeyboardInterrupt):
-            train(run, small(), banks=stored_banks(whole), progress=False)
+            train(run, small_rollouts(), banks=stored_banks(whole), progress=False)
     assert len((run / EVALUATIONS).read_text().splitlines()) == 1 + finished
     assert (run / SELECTOR).exists() == (finished > 0)
     if finished:
         assert rollout(load_selector(run), random_bank(3), name="x").ran.any()
         with pytest.raises(ValueError, match="holds a training already"):
-            train(run, small(), banks=stored_banks(whole), progress=False)
-    train(run, small(seed=9), resume=True, progress=False)
+            train(run, small_rollouts(), banks=stored_banks(whole), progress=False)
+    train(run, small_rollouts(seed=9), resume=True, progress=False)
     assert contents(run) == contents(whole)
-    train(run, small(), resume=True, progress=False)  # finished
+    train(run, small_rollouts(), resume=True, progress=False)  # finished
     assert contents(run) == contents(whole)
 
 
 def test_there_must_be_something_to_resume(tmp_path):
     with pytest.raises(FileNotFoundError):
-        train(tmp_path, small(), resume=True, progress=False)
+        train(tmp_path, small_rollouts(), resume=True, progress=False)
 
 
 def copied(run: Path, to: Path) -> tuple[Path, dict[str, torch.Tensor], dict[str, str]]:
@@ -622,7 +614,7 @@ def test_damaged_checkpoints_are_refused(whole, tmp_path, damage):
         path.write_bytes(path.read_bytes()[:-100])
     before = {file.name: file.read_bytes() for file in run.iterdir()}
     with pytest.raises(ValueError, match=r"checkpoint\.safetensors.*train"):
-        train(run, small(), resume=True, progress=False)
+        train(run, small_rollouts(), resume=True, progress=False)
     assert {file.name: file.read_bytes() for file in run.iterdir()} == before
 
 
@@ -645,11 +637,11 @@ def test_bad_settings_are_refused(changes, sentence):
 def test_routes_of_more_techniques_than_can_be_tried_are_refused(tmp_path):
     routes = Banks([random_bank(1, techniques=11, queries=9)])
     with pytest.raises(ValueError, match="11 techniques.*at most 10"):
-        train(tmp_path / "run", small(), source=routes, progress=False)
+        train(tmp_path / "run", small_rollouts(), source=routes, progress=False)
 
 
 def test_a_selector_may_idle_where_it_learned_to(tmp_path):
-    config = small(allow_idle=True, compute_weights=(4.0, 4.0))
+    config = small_rollouts(allow_idle=True, compute_weights=(4.0, 4.0))
     selector = train(tmp_path / "run", config, progress=False)
     assert selector.needs.allow_idle
     assert load_selector(tmp_path / "run").needs.allow_idle
@@ -675,7 +667,12 @@ def test_other_algorithms_learn_no_idling():
 
 def test_callbacks_of_stable_baselines3_are_refused(tmp_path):
     with pytest.raises(ValueError, match="'rollouts' takes no callbacks of Stable-Baselines3"):
-        train(tmp_path / "run", small(), callbacks=[CheckpointCallback(1, "x")], progress=False)
+        train(
+            tmp_path / "run",
+            small_rollouts(),
+            callbacks=[CheckpointCallback(1, "x")],
+            progress=False,
+        )
     assert not (tmp_path / "run").exists()
 
 

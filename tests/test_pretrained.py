@@ -19,7 +19,7 @@ from safetensors import safe_open
 from torch import get_num_threads, set_num_threads
 
 from amusic_gym.pretraining import calc, job, netvlad, pools
-from amusic_gym.pretraining.job import Job
+from amusic_gym.pretraining.job import TrainingJob
 from amusic_gym.pretraining.loop import Training
 from amusic_gym.pretraining.pools import DRIVES, SIGHTS, Pool, PoolSize, collage, make_pool
 from amusic_gym.routes.images import read_image
@@ -27,6 +27,8 @@ from amusic_gym.techniques import make_technique
 from amusic_gym.techniques.networks import NetVLADWidths
 from amusic_gym.techniques.preparation import Preparation
 from amusic_gym.techniques.weight_files import PRETRAINED, shipped
+
+pytestmark = pytest.mark.slow
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 MODULES = {"calc": calc, "netvlad": netvlad}
@@ -125,7 +127,7 @@ def without_rendering(monkeypatch) -> None:
 
 def train_tiny(name: str, folder: Path, **changes) -> tuple[list[float], bytes]:
     """Losses of a tiny training (of its first stage) and the file that it wrote."""
-    given = Job(folder / f"{name}.safetensors", progress=False)
+    given = TrainingJob(folder / f"{name}.safetensors", progress=False)
     if name == "calc":
         losses = calc.train(given, replace(CALC, **changes))
     else:
@@ -166,7 +168,7 @@ def test_a_training_that_is_interrupted_goes_on_with_the_same_bits(
 ):
     _, whole = train_tiny(name, tmp_path / "whole")
     module, settings = (calc, CALC) if name == "calc" else (netvlad, NETVLAD)
-    given = Job(tmp_path / "cut" / f"{name}.safetensors", progress=False)
+    given = TrainingJob(tmp_path / "cut" / f"{name}.safetensors", progress=False)
     made = []
 
     class Interrupted(Training):
@@ -190,7 +192,7 @@ def test_a_training_that_is_interrupted_goes_on_with_the_same_bits(
 
 @pytest.mark.usefixtures("without_rendering")
 def test_other_settings_and_damaged_checkpoints_are_refused(tmp_path):
-    given = Job(tmp_path / "calc.safetensors", resume=True, progress=False)
+    given = TrainingJob(tmp_path / "calc.safetensors", resume=True, progress=False)
     with pytest.raises(FileNotFoundError, match="nothing to resume; leave out --resume"):
         calc.train(given, CALC)
     interrupt_at_once = pytest.MonkeyPatch()
@@ -248,7 +250,7 @@ def test_a_command_trains_from_its_arguments_on_one_thread_and_says_where_the_we
     script(name).main([str(word) for word in words])
     set_num_threads(before)
     ((given, threads), *more) = seen
-    assert given == (Job(out, resume=True, images=images), module.Settings(seed=3))
+    assert given == (TrainingJob(out, resume=True, images=images), module.Settings(seed=3))
     assert (threads, more) == (1, [])
     told = capsys.readouterr().out
     assert told == f"The weights are in {out}; use them with --weights {name}={out}\n"

@@ -35,6 +35,8 @@ from amusic_gym.envs.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation.rollout import rollout
 
+pytestmark = pytest.mark.slow
+
 INPUTS = len(TECHNIQUE_FEATURES) + len(ROUTE_FEATURES)  # of the network's first layer
 PICKLE_STARTS = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05", b"PK\x03\x04")
 

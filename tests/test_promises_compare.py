@@ -4,75 +4,18 @@ from __future__ import annotations
 
 import json
 import os
-import runpy
 import signal
-import subprocess
-import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 from env_cases import random_bank
+from script_cases import run_and_stop
 
 from amusic_gym.estimation.settings import SICSettings
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parent.parent
-
-# A process that sends itself a signal after so many lines; a shell may have started these tests
-# with Ctrl-C ignored.
-STOPPED = """
-import os, runpy, signal, sys
-number, lines, *sys.argv = int(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:]
-signal.signal(signal.SIGINT, signal.default_int_handler)
-sys.path.insert(0, os.path.dirname(sys.argv[0]))
-class Counted:
-    def __init__(self, stream, left):
-        self.stream, self.left = stream, left
-    def __getattr__(self, name):
-        return getattr(self.stream, name)
-    def write(self, text):
-        self.stream.write(text)
-        self.stream.flush()
-        self.left -= text.count("\\n")
-        if self.left == 0:
-            self.left = -1
-            os.kill(os.getpid(), number)
-sys.stdout = Counted(sys.stdout, lines)
-runpy.run_path(sys.argv[0], run_name="__main__")
-"""
-
-
-class Done(NamedTuple):
-    returncode: int
-    stdout: str
-    stderr: str
-
-
-def run_and_stop(number: int, lines: int, script: str, *arguments: object) -> Done:
-    """The script in a process that gets signal `number` when it has printed so many lines."""
-    path = ROOT / "scripts" / script
-    words = [sys.executable, "-W", "error", "-c", STOPPED, int(number), lines, path, *arguments]
-    process = subprocess.run(
-        [*map(str, words)], capture_output=True, text=True, timeout=240, check=False
-    )
-    return Done(process.returncode, process.stdout, process.stderr)
-
-
-@pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Done]:
-    """Runs a script here, as `python SCRIPT ARGUMENTS` would."""
-
-    def here(script: str, *arguments: object) -> Done:
-        path = ROOT / "scripts" / script
-        monkeypatch.syspath_prepend(str(path.parent))
-        monkeypatch.setattr(sys, "argv", [str(path), *map(str, arguments)])
-        with pytest.raises(SystemExit) as end:
-            runpy.run_path(str(path), run_name="__main__")
-        assert isinstance(end.value.code, int)
-        return Done(end.value.code, *capsys.readouterr())
-
-    return here
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +46,7 @@ def results(out: Path) -> dict:
     ],
 )
 def test_34_35_52_a_stopped_comparison_keeps_and_skips_what_is_finished(
-    run, tmp_path, banks, number, status
+    run_script, tmp_path, banks, number, status
 ):
     out = tmp_path / "out"
     policies = ["music", "amusic", "random:0.3", "cascade", "oracle"]
@@ -117,19 +60,19 @@ def test_34_35_52_a_stopped_comparison_keeps_and_skips_what_is_finished(
     assert len(kept) == 6  # three rows, three traces
     assert not (out / "results.json").exists()
 
-    again = run("compare.py", *arguments, out)
+    again = run_script("compare.py", *arguments, out)
     assert again.returncode == 0, again.stderr
     lines = again.stdout.splitlines()[:5]
     assert [line.endswith("(was finished)") for line in lines] == [True] * 3 + [False] * 2
     assert kept.items() <= rows(out).items()
-    whole = run("compare.py", *arguments, tmp_path / "whole")
+    whole = run_script("compare.py", *arguments, tmp_path / "whole")
     assert "(was finished)" not in whole.stdout
     assert results(out) == results(tmp_path / "whole")
     assert rows(out) == rows(tmp_path / "whole")
 
 
-def test_compare_writes_table_results_traces_and_figures(run, tmp_path, banks):
-    done = run(
+def test_compare_writes_table_results_traces_and_figures(run_script, tmp_path, banks):
+    done = run_script(
         "compare.py",
         *("--bank", banks[0], "--bank", banks[1], "--policy", "amusic", "--policy", "raw:T0"),
         *("cascade", "--all-subsets", "--statistic", "mean", "--costs", "runs"),
@@ -171,9 +114,11 @@ def test_compare_writes_table_results_traces_and_figures(run, tmp_path, banks):
         (["--policy", "music", "--bank", "nowhere"], "nowhere"),
     ],
 )
-def test_10_bad_arguments_are_one_line_and_status_2(run, tmp_path, banks, arguments, sentence):
+def test_10_bad_arguments_are_one_line_and_status_2(
+    run_script, tmp_path, banks, arguments, sentence
+):
     out = tmp_path / "out"
-    refused = run("compare.py", "--bank", banks[0], "--out", out, *arguments)
+    refused = run_script("compare.py", "--bank", banks[0], "--out", out, *arguments)
     assert refused.returncode == 2
     assert refused.stdout == ""
     assert refused.stderr.count("\n") == 1
@@ -181,29 +126,12 @@ def test_10_bad_arguments_are_one_line_and_status_2(run, tmp_path, banks, argume
     assert not out.exists()
 
 
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run folder whose selector was never trained."""
-    import torch
-    from amusic_agents import run_folder
-    from amusic_agents.network import NetworkConfig, SelectorNetwork
-
-    folder = tmp_path_factory.mktemp("run")
-    torch.manual_seed(0)
-    config = NetworkConfig()
-    run_folder.write_selector(folder, SelectorNetwork(config), config)
-    run_folder.write_config(
-        folder, {"versions": run_folder.versions("evidence"), "environment": {}}
-    )
-    return folder
-
-
 def test_38_learned_selector_has_a_row_per_compute_weight_and_keeps_its_statistic(
-    run, tmp_path, banks, trained
+    run_script, tmp_path, banks, trained
 ):
     policy = f"ppo:{trained}"
     arguments = ["--bank", banks[1], "--policy", policy, "music", "--out", tmp_path / "out"]
-    done = run("compare.py", *arguments, "--compute-weight", 0.1, 2)
+    done = run_script("compare.py", *arguments, "--compute-weight", 0.1, 2)
     assert (done.returncode, done.stderr) == (0, "")
     found = [
         (r["policy"], r["compute_weight"], r["statistic"])
@@ -214,17 +142,19 @@ def test_38_learned_selector_has_a_row_per_compute_weight_and_keeps_its_statisti
         (policy, 2.0, "evidence"),
         ("music", None, SICSettings.statistic),
     ]
-    more = run("compare.py", *arguments, "--compute-weight", 2, 4)
+    more = run_script("compare.py", *arguments, "--compute-weight", 2, 4)
     assert more.stdout.count("(was finished)") == 2
 
-    refused = run("compare.py", *arguments, "--statistic", "mean")
+    refused = run_script("compare.py", *arguments, "--statistic", "mean")
     assert refused.returncode == 2
     assert "was trained with the statistic 'evidence' and takes no other" in refused.stderr
     assert refused.stderr.count("\n") == 1
 
 
-def test_the_selector_that_ships_needs_no_run_folder(run, tmp_path, banks):
-    done = run("compare.py", "--bank", banks[1], "--policy", "ppo", "--out", tmp_path / "out")
+def test_the_selector_that_ships_needs_no_run_folder(run_script, tmp_path, banks):
+    done = run_script(
+        "compare.py", "--bank", banks[1], "--policy", "ppo", "--out", tmp_path / "out"
+    )
     assert (done.returncode, done.stderr) == (0, "")
     rows = results(tmp_path / "out")["rows"]
     assert {row["policy"] for row in rows} == {"ppo"}
@@ -234,10 +164,12 @@ def test_the_selector_that_ships_needs_no_run_folder(run, tmp_path, banks):
     assert rows[0]["compute"] > rows[-1]["compute"]  # dearer runs, fewer of them
 
 
-def test_what_is_turned_off_is_in_the_rows_and_a_trained_selector_refuses_it(run, tmp_path, banks):
+def test_what_is_turned_off_is_in_the_rows_and_a_trained_selector_refuses_it(
+    run_script, tmp_path, banks
+):
     words = ["--bank", banks[1], "--policy", "music", "amusic", "ppo@belief", "--no-carry"]
     words += ["--compute-weight", 1]
-    done = run("compare.py", *words, "--out", tmp_path / "out")
+    done = run_script("compare.py", *words, "--out", tmp_path / "out")
     assert (done.returncode, done.stderr) == (0, "")
     rows = results(tmp_path / "out")["rows"]
     assert [(row["policy"], row["statistic"], row["carry"]) for row in rows] == [
@@ -246,20 +178,20 @@ def test_what_is_turned_off_is_in_the_rows_and_a_trained_selector_refuses_it(run
         ("ppo@belief", "belief", False),
     ]
     assert done.stdout.count("evidence, no carry") == 1
-    again = run("compare.py", *words, "--out", tmp_path / "out", "--no-discount")
+    again = run_script("compare.py", *words, "--out", tmp_path / "out", "--no-discount")
     # the paper's and the belief's know no discount
     assert again.stdout.count("(was finished)") == 2
     for option in ("--no-carry", "--no-discount"):
         words = ["--bank", banks[1], "--policy", "ppo", "--out", tmp_path / "new", option]
-        refused = run("compare.py", *words)
+        refused = run_script("compare.py", *words)
         assert refused.returncode == 2
         assert f"leave out {option} or compare it apart" in refused.stderr
         assert refused.stderr.count("\n") == 1
         assert not (tmp_path / "new").exists()
 
 
-def test_correctness_reports_every_technique(run, tmp_path, banks):
-    done = run("correctness.py", "--bank", *banks, "--out", tmp_path)
+def test_correctness_reports_every_technique(run_script, tmp_path, banks):
+    done = run_script("correctness.py", "--bank", *banks, "--out", tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     report = json.loads((tmp_path / "correctness.json").read_text("utf-8"))
     assert report["statistic"] == SICSettings.statistic
@@ -269,7 +201,7 @@ def test_correctness_reports_every_technique(run, tmp_path, banks):
     assert report["pooled"]["frames"] == 3 * (60 + 30)
     assert (tmp_path / "reliability.png").read_bytes().startswith(b"\x89PNG")
     assert "pooled" in done.stdout
-    missing = run("correctness.py", "--bank", tmp_path / "none", "--out", tmp_path / "out")
+    missing = run_script("correctness.py", "--bank", tmp_path / "none", "--out", tmp_path / "out")
     assert missing.returncode == 2
     assert missing.stderr.count("\n") == 1
     assert os.fspath(tmp_path / "none") in missing.stderr

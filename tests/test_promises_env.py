@@ -34,12 +34,13 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
-TESTS = Path(__file__).resolve().parent
+ROOT = Path(__file__).resolve().parent.parent
+PATHS = (ROOT, ROOT / "tests/support")
 
 
 def python(code: str, *arguments: object, stdin: bytes = b"") -> str:
     """What ``code`` prints in a process of its own, where warnings are errors."""
-    path = os.pathsep.join([str(TESTS.parent), str(TESTS)])
+    path = os.pathsep.join(map(str, PATHS))
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", code, *map(str, arguments)],
         input=stdin,

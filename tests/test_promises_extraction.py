@@ -26,6 +26,8 @@ from amusic_gym.extraction.blocks import Images
 from amusic_gym.extraction.describe import ExtractionPlan
 from amusic_gym.routes.folders import ImageFolder
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parent.parent
 SECONDS = {"Tiny": 0.5}
 COUNT = 3 * BLOCK
@@ -321,7 +323,7 @@ def command(folder: Path, place: Path, executor: str, **environment: str):
         ],
         env={
             **os.environ,
-            "PYTHONPATH": str(ROOT / "tests"),
+            "PYTHONPATH": str(ROOT / "tests/support"),
             "TEST_LOG": str(place / "log"),
             "TEST_MARKER": str(place / "marker"),
             **environment,

@@ -30,13 +30,10 @@ from amusic_agents.run_folder import (
 )
 from amusic_agents.selector import load_selector
 from amusic_agents.training import train
+from comparison_cases import Lineup
 from env_cases import random_bank
 from safetensors.torch import load_file
-from small_training import contents
-from test_comparison import Lineup
-from test_imitation import Quick
-from test_imitation import small as small_ppo
-from test_policy_iteration import small as small_rollouts
+from small_training import Quick, contents, small, small_rollouts
 
 from amusic_gym.cli.parser import destination
 from amusic_gym.evaluation import plots
@@ -46,6 +43,8 @@ from amusic_gym.evaluation.study.run import load_measures
 from amusic_gym.extraction.code import key_of
 from amusic_gym.routes.video import VideoWriter
 from amusic_gym.utils import storage
+
+pytestmark = pytest.mark.slow
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 
@@ -163,7 +162,7 @@ def test_35_policy_iteration_killed_at_any_rename_names_no_score_but_its_selecto
 
 def test_35_ppo_killed_beside_its_selector_resumes_with_the_score_of_that(tmp_path, routes):
     def work(out: Path) -> None:
-        config = small_ppo("ppo", timesteps=64, evaluate_every=32)
+        config = small("ppo", timesteps=64, evaluate_every=32)
         train(out, config, banks=routes, resume=(out / CHECKPOINT).exists(), progress=False)
 
     for out in kills(work, tmp_path, range(6, 11)):  # at the first evaluation
@@ -196,7 +195,7 @@ def test_27_leftovers_are_swept_wherever_something_is_written_and_nothing_else_i
     leave(out / "traces")
     compare([random_bank(1, queries=12)], Lineup("music"), out, report=len)
     run = leave(tmp_path / "run")
-    train(run, small_ppo("ppo", timesteps=32), banks=routes, progress=False)
+    train(run, small("ppo", timesteps=32), banks=routes, progress=False)
     films = leave(tmp_path / "films")
     with VideoWriter(films / "a.avi", 5) as video:
         video.write(np.zeros((16, 16, 3), np.uint8))
@@ -219,11 +218,11 @@ def test_28_a_second_training_in_a_folder_is_refused(tmp_path, routes):
         storage.only_writer(tmp_path / "run"),
         pytest.raises(ValueError, match="run is in use by another process; wait for its end"),
     ):
-        train(tmp_path / "run", small_ppo("ppo", timesteps=32), banks=routes, progress=False)
+        train(tmp_path / "run", small("ppo", timesteps=32), banks=routes, progress=False)
     assert not (tmp_path / "run").exists()  # nothing was written to it
-    train(tmp_path / "run", small_ppo("ppo", timesteps=32), banks=routes, progress=False)
+    train(tmp_path / "run", small("ppo", timesteps=32), banks=routes, progress=False)
     with storage.only_writer(tmp_path / "run"), pytest.raises(ValueError, match="in use"):
-        train(tmp_path / "run", small_ppo("ppo"), resume=True, progress=False)
+        train(tmp_path / "run", small("ppo"), resume=True, progress=False)
 
 
 def test_28_who_waits_for_a_lock_says_so(tmp_path, monkeypatch):
@@ -302,7 +301,7 @@ def test_51_nothing_but_the_bank_is_written_to_a_bank_s_folder(tmp_path, monkeyp
     for out in (folder, folder / "sub" / "x"):
         for write in (
             lambda out=out: compare([bank], Lineup("music"), out, report=len),
-            lambda out=out: train(out, small_ppo("ppo"), banks=routes, progress=False),
+            lambda out=out: train(out, small("ppo"), banks=routes, progress=False),
             lambda out=out: bank.save(out / "bank"),
         ):
             with pytest.raises(ValueError, match=r"in the folder of a score bank \(.*give another"):
@@ -347,7 +346,7 @@ def one_sentence(read: Callable[[], object]) -> None:
 
 
 def test_23_odd_values_in_a_run_folder_are_refused_in_a_sentence(tmp_path, routes):
-    train(tmp_path, small_ppo("ppo", timesteps=32), banks=routes, progress=False)
+    train(tmp_path, small("ppo", timesteps=32), banks=routes, progress=False)
     config = tmp_path / CONFIG
     content = json.loads(config.read_bytes())
     for path, odd in itertools.product(places(content), ODD):

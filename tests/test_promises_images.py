@@ -13,9 +13,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from image_cases import FILES, encoded, picture, pillow
 from PIL import Image as Pillow
 from PIL import ImageOps
-from test_images import FILES, encoded, picture, pillow
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.routes import image_truth

@@ -14,14 +14,15 @@ import numpy as np
 import pytest
 from env_cases import assert_same, digest, play, random_actions
 from gymnasium.vector import AsyncVectorEnv
-from live_cases import Broken, Columns, live_of, map_of, maps_of, traverse
-from test_navigation import make
+from live_cases import Broken, Columns, live_of, map_of, maps_of, policy_on, traverse
 
 from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.extraction.blocks import BLOCK
 from amusic_gym.extraction.map import DescribedMap
 from amusic_gym.live.navigation import navigate
+
+pytestmark = pytest.mark.slow
 
 CHILD = """
 import pickle, sys
@@ -91,8 +92,8 @@ def test_2_a_copy_of_an_environment_on_a_folder_continues_identically(way, tmp_p
     if way == "another process":
         (tmp_path / "env").write_bytes(pickle.dumps((env, actions[12:])))
         command = [sys.executable, "-W", "error", "-c", CHILD, str(tmp_path / "env")]
-        here = Path(__file__).parent
-        path = {"PYTHONPATH": f"{here}:{here.parent}"}
+        root = Path(__file__).resolve().parent.parent
+        path = {"PYTHONPATH": f"{root / 'tests/support'}:{root}"}
         done = subprocess.run(
             command, env=path, capture_output=True, text=True, check=True, timeout=120
         )
@@ -159,9 +160,9 @@ def test_15_16_an_image_that_cannot_be_read_is_refused_with_its_path(spoil, tmp_
     image.write_bytes(whole[: len(whole) * 2 // 3] if spoil is None else spoil)
     seen = []
     with pytest.raises(ValueError, match=r"query/4\.png"):
-        seen.extend(s.frame for s in navigate(make("music", live), live))
+        seen.extend(s.frame for s in navigate(policy_on("music", live), live))
     image.unlink()
     with pytest.raises(FileNotFoundError, match=r"query/4\.png"):
-        list(navigate(make("raw:HOG", live), live))
+        list(navigate(policy_on("raw:HOG", live), live))
     image.write_bytes(whole)
-    assert len(list(navigate(make("music", live), live))) == 6
+    assert len(list(navigate(policy_on("music", live), live))) == 6

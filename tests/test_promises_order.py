@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from image_cases import encoded, picture
 from PIL import Image as Pillow
-from test_images import encoded, picture
 
 from amusic_gym.extraction import extract
 from amusic_gym.extraction.describe import images_of

@@ -27,6 +27,8 @@ from amusic_gym.envs.window import Window
 from amusic_gym.live.navigation import navigate
 from amusic_gym.routes.video import Camera, VideoWriter
 
+pytestmark = pytest.mark.slow
+
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 SCRIPT_NAMES = sorted(path.name for path in SCRIPTS.glob("[!_]*.py"))
 
@@ -200,10 +202,10 @@ def test_a_technique_that_draws_on_its_image_spoils_nothing():
     maps = [map_of([p.copy() for p in places], one) for one in (scribbler, other)]
     route = live_of(maps, images, seconds=(1.0, 2.0))
     alone = live_of([maps[1]], kept, seconds=(2.0,))
-    for frame, sighting in enumerate(navigate(make_policy("music", _context(route)), route)):
-        assert sighting.ran.all()
-        np.testing.assert_array_equal(sighting.image, kept[frame])
-        scores, _ = route.run(1, sighting.image, frame)
+    for frame, result in enumerate(navigate(make_policy("music", _context(route)), route)):
+        assert result.ran.all()
+        np.testing.assert_array_equal(result.image, kept[frame])
+        scores, _ = route.run(1, result.image, frame)
         np.testing.assert_array_equal(scores, alone.run(0, kept[frame], frame)[0])
 
 

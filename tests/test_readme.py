@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 from env_cases import random_bank
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"
 COMMANDS = ROOT / "docs" / "commands.md"

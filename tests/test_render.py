@@ -28,6 +28,8 @@ from amusic_gym.envs.window import Window
 from amusic_gym.extraction.map import DescribedMap
 from amusic_gym.techniques import Technique
 
+pytestmark = pytest.mark.slow
+
 SHAPE = (540, 960, 3)
 
 

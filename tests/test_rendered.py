@@ -28,10 +28,12 @@ from amusic_gym.worlds import (
     render_folders,
     traverse,
 )
-from amusic_gym.worlds.camera import Camera
+from amusic_gym.worlds.camera import ViewCamera
 from amusic_gym.worlds.conditions import Look, look_at, stretch_at
 from amusic_gym.worlds.drawing import draw
 from amusic_gym.worlds.files import is_whole, run_of
+
+pytestmark = pytest.mark.slow
 
 SMALL = (96, 72)
 ROOT = Path(__file__).resolve().parent.parent
@@ -176,7 +178,7 @@ def test_a_shift_moves_the_near_more_than_the_far(worlds):
         bare(world)
         post = world.block(0)
         post.sprite(0.0, distance, 0.5, 4.0, ("pole", 1, 4.0, 0.5))
-        camera = Camera(0.0, right, 0.0, 0.0, 1.6, (320, 240))
+        camera = ViewCamera(0.0, right, 0.0, 0.0, 1.6, (320, 240))
         look = Look(noise=0)
         with_post = draw(world, camera, look, 0, 0).astype(int)
         empty = World(1, "street")

@@ -12,6 +12,8 @@ import pytest
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.evaluation.study import rivals
 
+pytestmark = pytest.mark.slow
+
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 
 

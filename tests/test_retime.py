@@ -22,6 +22,8 @@ from amusic_gym.routes.motion import JUMP, KIDNAPPED, MOTIONS, PACED, SPEED_CHAN
 from amusic_gym.routes.retime import retime, retimed_frames, retimed_truth, save_retimed
 from amusic_gym.routes.simulate import Simulation
 
+pytestmark = pytest.mark.slow
+
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 LONG = 400_000
 EITHER = pytest.mark.parametrize("motion", [PACED, KIDNAPPED])

@@ -6,54 +6,13 @@ import numpy as np
 import pytest
 from amusic_baselines import make_policy
 from env_cases import random_bank
+from rollout_cases import Cycle, assert_same
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation.rollout import Job, rollout, rollouts
-from amusic_gym.policies.protocol import Context, Localiser, Needs, Selector
-from amusic_gym.policies.trace import Trace
-
-ARRAYS = (
-    "predictions",
-    "confidence",
-    "similarity",
-    "p_correct",
-    "chosen",
-    "ran",
-    "late_runs",
-    "selections",
-    "correct",
-    "has_place",
-    "error",
-)
-
-
-def assert_same(one: Trace, other: Trace) -> None:
-    for name in ARRAYS:
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
-    assert (one.bank, one.techniques) == (other.bank, other.techniques)
-
-
-class Cycle:
-    """Runs one technique after the other; keeps what it is shown."""
-
-    def __init__(self, **needs) -> None:
-        self.needs = Needs(**needs)
-        self.resets: list[np.ndarray] = []
-        self.weights: list[np.ndarray] = []
-
-    def reset(self, mask):
-        self.resets.append(mask.copy())
-
-    def act(self, observation, info):
-        self.weights.append(info["compute_weight"].copy())
-        turn = (info["frame"] + 1) % info["present"].sum(axis=1)
-        actions = np.zeros(info["present"].shape, np.bool_)
-        actions[np.arange(turn.size), turn] = True
-        if self.needs.reselection is not None:
-            actions = np.column_stack([actions, (info["frame"] + 1) % 7 == 3])
-        return actions
+from amusic_gym.policies.protocol import Context, Localiser, Selector
 
 
 class SecondBest:

@@ -16,6 +16,8 @@ from amusic_gym.banks.bank import GroundTruth, ScoreBank
 from amusic_gym.extraction import BLOCK
 from amusic_gym.routes.images import read_image
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parent.parent
 COUNT = BLOCK + 2
 
@@ -24,7 +26,7 @@ def bank(*arguments: object, cwd: Path | None = None):
     """`bank.py` in a process of its own."""
     return subprocess.run(
         [sys.executable, "-W", "error", str(ROOT / "scripts" / "bank.py"), *map(str, arguments)],
-        env={**os.environ, "PYTHONPATH": str(ROOT / "tests")},
+        env={**os.environ, "PYTHONPATH": str(ROOT / "tests/support")},
         capture_output=True,
         text=True,
         timeout=120,

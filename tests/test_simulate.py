@@ -19,6 +19,8 @@ from amusic_gym.routes.route_model import RouteModel, decoys, no_repeats, repeat
 from amusic_gym.routes.simulate import Simulation, planted, simulate
 from amusic_gym.routes.statistics import MEASURES, describe
 
+pytestmark = pytest.mark.slow
+
 # Everything that could blur what a test looks at, off.
 PLAIN = Simulation(
     conditions=(1, 1),

@@ -15,6 +15,8 @@ from amusic_gym.estimation.sic.correction import SIC
 from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.policies.protocol import Context
 
+pytestmark = pytest.mark.slow
+
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 
 

@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 from amusic_baselines import make_policy, subset
 from env_cases import random_bank
-from test_promises_compare import run, run_and_stop, trained  # noqa: F401  (fixtures)
-from test_rollout import Cycle
+from script_cases import run_and_stop
+from study_cases import EVERYBODY, FIXED, WEIGHTS, banks, entrant, learned, plan_of
 
-from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.evaluation import store, study
 from amusic_gym.evaluation.audit import audit
 from amusic_gym.evaluation.contestants import Contestant
@@ -35,67 +34,7 @@ from amusic_gym.policies.protocol import Context
 from amusic_gym.routes.retime import retime
 from amusic_gym.utils.imports import PACKAGE, digest_of
 
-WEIGHTS = (0.1, 1.0, 8.0)
-
-
-class Weighted(Cycle):
-    """Runs one technique, or all while λ is small; its seed decides which one."""
-
-    def __init__(self, seed: int) -> None:
-        super().__init__(statistic="evidence")
-        self.seed = seed
-
-    def act(self, observation, info):
-        slots = info["present"].shape[1]
-        every = info["compute_weight"][:, None] < 0.5
-        return every | (np.arange(slots) == self.seed % slots)
-
-
-def make_weighted(seed: int, context: Context) -> Weighted:
-    return Weighted(seed)
-
-
-def entrant(spec: str, family: str = "peer", **options) -> Entrant:
-    maker = partial(make_policy, spec)
-    return Entrant(spec, family, (Contestant(spec, maker),), **options)
-
-
-def learned(name: str, seeds: int = 2, weights: tuple[float, ...] = WEIGHTS) -> Entrant:
-    runs = [
-        Contestant(f"{name}{seed}", partial(make_weighted, seed), weights) for seed in range(seeds)
-    ]
-    return Entrant(name, "learned", tuple(runs))
-
-
-FIXED = [
-    entrant(spec, "fixed")
-    for spec in ("single:T0", "single:T1", "single:T2", "subset:T0+T1", "music")
-]
-EVERYBODY = [
-    *FIXED,
-    entrant("amusic", "amusic"),
-    entrant("cascade", "cascade"),
-    entrant("random:0.5", "random", draws=True),
-    entrant("oracle", "bound", needs_truth="of the route itself"),
-    entrant("raw:T0"),
-    Entrant(
-        "music@mean",
-        "variant",
-        (Contestant("music", partial(make_policy, "music")),),
-        statistic="mean",
-    ),
-    learned("imitation"),
-    learned("PPO"),
-]
-
-
-def banks(count: int = 2) -> list[ScoreBank]:
-    return [random_bank(seed, queries=30, references=40) for seed in range(1, count + 1)]
-
-
-def plan_of(entrants, routes=None, **options) -> study.Plan:
-    options = {"seeds": (0, 1), "statistic": "evidence", **options}
-    return study.make_plan(routes or banks(), lambda bank: list(entrants), **options)
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -890,7 +829,7 @@ def folders(tmp_path_factory) -> list[Path]:
     return [bank.save(folder / bank.name) for bank in banks()]
 
 
-def test_command_runs_prints_and_resumes(run, tmp_path, folders, trained):  # noqa: F811
+def test_command_runs_prints_and_resumes(run_script, tmp_path, folders, trained):
     out = tmp_path / "out"
     words = [
         *("--bank", folders[0], "--out", out, "--seeds", 2, "--first-seed", 5, "--costs", "runs"),
@@ -898,11 +837,11 @@ def test_command_runs_prints_and_resumes(run, tmp_path, folders, trained):  # no
         *("--policy", "single:T0", "music@mean", "random:0.5", f"ppo:{trained}"),
         *("--selector", f"imitation={trained}", "--compute-weight", 0.1, 1),
     ]
-    dry = run("study.py", *words, "--dry-run")
+    dry = run_script("study.py", *words, "--dry-run")
     assert (dry.returncode, dry.stderr) == (0, "")
     assert dry.stdout.splitlines()[-1] == "0 of 22 cells finished, 22 to compute"
     assert not out.exists()
-    done = run("study.py", *words)
+    done = run_script("study.py", *words)
     assert (done.returncode, done.stderr) == (0, "")
     stored = json.loads((out / "study.json").read_text("utf-8"))
     families = {row["policy"]: row["family"] for row in stored["points"]}
@@ -927,7 +866,7 @@ def test_command_runs_prints_and_resumes(run, tmp_path, folders, trained):  # no
     made = {path.name for path in out.iterdir()}
     assert made == {"cells", "study.json", "tables.md", "fronts.png", ".amusic-written.json"}
     assert "Audit: estimated correctness" in done.stdout
-    dry = run("study.py", *words, "--dry-run")
+    dry = run_script("study.py", *words, "--dry-run")
     assert dry.stdout.splitlines()[-1] == "22 of 22 cells finished, 0 to compute"
 
 
@@ -963,9 +902,9 @@ def test_34_52_a_stopped_study_keeps_the_finished_cells(tmp_path, folders, numbe
         (["--policy", "music", "--bank", "nowhere"], "nowhere"),
     ],
 )
-def test_10_bad_arguments_are_one_line_and_status_2(run, tmp_path, folders, words, sentence):  # noqa: F811
+def test_10_bad_arguments_are_one_line_and_status_2(run_script, tmp_path, folders, words, sentence):
     out = tmp_path / "out"
-    refused = run("study.py", "--bank", folders[0], "--out", out, *words)
+    refused = run_script("study.py", "--bank", folders[0], "--out", out, *words)
     assert refused.returncode == 2
     assert refused.stdout == ""
     assert refused.stderr.count("\n") == 1

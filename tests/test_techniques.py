@@ -183,10 +183,10 @@ def test_all_give_the_same_bits_in_another_process():
         "prints = {n: fingerprint(make_technique(n), image(0)) for n in (*SHIPPED, OWN)}\n"
         "print(json.dumps(prints))\n"
     )
+    paths = [str(folder) for folder in (FOLDER.parent, FOLDER, FOLDER / "support")]
     done = subprocess.run(
         [sys.executable, "-c", code],
-        cwd=FOLDER,
-        env={**os.environ, "PYTHONPATH": str(FOLDER.parent)},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
         capture_output=True,
         text=True,
         timeout=300,

@@ -23,6 +23,8 @@ from amusic_gym.routes.images import read_image
 from amusic_gym.routes.retime import retime
 from amusic_gym.routes.tours import LONGEST, SHORTEST, _spells, make_tour, spells_in, write_tour
 
+pytestmark = pytest.mark.slow
+
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 COUNTS = (70, 45, 60)  # images of the parts: spells go across their ends, and blocks of images too
 

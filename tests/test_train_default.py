@@ -24,6 +24,8 @@ if str(SCRIPTS) not in sys.path:
 
 import train_default  # noqa: E402  (found by the lines above)
 
+pytestmark = pytest.mark.slow
+
 TINY = {
     **SMALL,
     "imitation": ImitationConfig(rounds=2, frames=64, epochs=1, batch_size=32),

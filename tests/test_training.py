@@ -42,6 +42,8 @@ from amusic_gym.evaluation.rollout import Job, rollout, rollouts
 from amusic_gym.policies.trace import Trace
 from amusic_gym.routes.simulate import planted
 
+pytestmark = pytest.mark.slow
+
 FILES = {"config.json", SELECTOR, CHECKPOINT, EVALUATIONS, "progress.csv"}
 
 

@@ -13,6 +13,8 @@ import pytest
 
 from amusic_gym.cli import COMMANDS
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parent.parent
 
 

@@ -238,7 +238,7 @@ class TrainingConfig(Settings):
         self.environment()
         self.population()
 
-    def environment(self) -> dict[str, bool]:
+    def environment(self) -> dict[str, Any]:
         """How SIC works besides its statistic, and idling: arguments of the environment.
 
         Raises:

@@ -348,15 +348,10 @@ def roll_out(
     sums = np.zeros((2, len(first)))
     actions = first
     weights = np.cumprod([1.0, *[settings.discount] * (settings.horizon - 1)])
-    observation: NDArray[np.float32] | None = None
+    observation = np.zeros(0, np.float32)  # seen after a frame; a hold is of one at least
     for frame, weight in enumerate(weights):
         since = frame - settings.hold
-        if (
-            policy is not None
-            and observation is not None
-            and since >= 0
-            and since % ACTION_REPEAT == 0
-        ):
+        if policy is not None and since >= 0 and since % ACTION_REPEAT == 0:
             actions = policy.act(observation, {})
         out, _, terms = copies.step(actions, active)
         rewards = sum((v for k, v in terms.items() if k != "compute"), np.zeros(len(first)))

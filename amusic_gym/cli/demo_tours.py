@@ -12,7 +12,7 @@ import numpy as np
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.live_route import LiveRoute
-from amusic_gym.envs.pictures.sightings import Pictures
+from amusic_gym.envs.pictures.drive import Pictures
 from amusic_gym.envs.task import RENDER_FPS
 from amusic_gym.extraction import Cache, describe_map, extract
 from amusic_gym.live.navigation import navigate
@@ -36,7 +36,7 @@ OF_DRIVE = 60
 """Frame of the live drive that the page shows."""
 
 
-class World(NamedTuple):
+class DemoWorld(NamedTuple):
     """A rendered world, and how it looks on the second drive through it."""
 
     kind: Kind
@@ -45,9 +45,9 @@ class World(NamedTuple):
 
 
 WORLDS = (
-    World("street", 4_000, "shift"),
-    World("rail", 4_001, "night+shift"),
-    World("corridor", 4_002, "shift+crowd"),
+    DemoWorld("street", 4_000, "shift"),
+    DemoWorld("rail", 4_001, "night+shift"),
+    DemoWorld("corridor", 4_002, "shift+crowd"),
 )
 
 
@@ -132,9 +132,9 @@ def drive(out: Path, selector: Selector, tour: Tour, bank: ScoreBank) -> Path:
         )
         video = stack.enter_context(VideoWriter(out / "drive.mp4", RENDER_FPS))
         pictures = Pictures(route, f"{bank.name}, learned selector")
-        for sighting in navigate(selector, route, compute_weight=COMPUTE_WEIGHT):
-            picture = pictures.draw(sighting)
+        for result in navigate(selector, route, compute_weight=COMPUTE_WEIGHT):
+            picture = pictures.draw(result)
             video.write(picture)
-            if sighting.frame == OF_DRIVE:
+            if result.frame == OF_DRIVE:
                 write_whole(path, cv2.imencode(".png", picture[:, :, ::-1])[1].tobytes())
     return path

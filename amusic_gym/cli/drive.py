@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from amusic_gym.envs.live_route import LiveRoute
-from amusic_gym.live.navigation import Sighting
+from amusic_gym.live.navigation import FrameResult
 
 DOUBT, SETTLED = 0.5, 20
 """p̂ of a doubtful frame, and frames after which many of them are worth a word."""
@@ -18,7 +18,7 @@ HEADER = f"{'frame':>6} {'place':>6} {'confidence':>10} {'p':>5} {'ms':>8}  tech
 
 
 class Journal:
-    """Prints sightings as they come, and the summary when it is left, by Ctrl-C too.
+    """Prints results as they come, and the summary when it is left, by Ctrl-C too.
 
     Args:
         route: the route that is driven.
@@ -34,22 +34,22 @@ class Journal:
         self.runs = np.zeros(len(route.techniques), np.int64)
         self.run_milliseconds = np.zeros(len(route.techniques))
 
-    def write(self, sighting: Sighting) -> None:
+    def write(self, result: FrameResult) -> None:
         """Count a frame and print its line."""
         if not self.frames and not self.quiet:
             print(HEADER if self.route.truth is None else f"{HEADER}  (!: wrong place)")
         self.frames += 1
-        self.milliseconds += sighting.milliseconds
-        self.reading += sighting.read_milliseconds
-        self.runs += sighting.ran + sighting.late_runs
-        self.run_milliseconds += sighting.run_milliseconds
-        self.doubtful += sighting.p_correct is not None and sighting.p_correct < DOUBT
+        self.milliseconds += result.milliseconds
+        self.reading += result.read_milliseconds
+        self.runs += result.ran + result.late_runs
+        self.run_milliseconds += result.run_milliseconds
+        self.doubtful += result.p_correct is not None and result.p_correct < DOUBT
         right = None
         if self.route.truth is not None:
-            right = bool(self.route.truth.correct([sighting.prediction], [sighting.frame])[0])
+            right = bool(self.route.truth.correct([result.prediction], [result.frame])[0])
             self.right += right
         if not self.quiet:
-            print(line(sighting, right), flush=True)
+            print(line(result, right), flush=True)
 
     def __enter__(self) -> Journal:
         return self
@@ -82,17 +82,17 @@ class Journal:
         return lines
 
 
-def line(sighting: Sighting, right: bool | None) -> str:
+def line(result: FrameResult, right: bool | None) -> str:
     """One frame; a wrong place is marked where the truth is known."""
-    p = "-" if sighting.p_correct is None else f"{sighting.p_correct:.2f}"
-    words = " + ".join(sighting.active) or "nothing"
-    if sighting.selection:
-        words += f"  (selection, {sighting.late_runs.sum()} late runs)"
-    place = str(sighting.prediction) if sighting.prediction >= 0 else "-"
+    p = "-" if result.p_correct is None else f"{result.p_correct:.2f}"
+    words = " + ".join(result.active) or "nothing"
+    if result.selection:
+        words += f"  (selection, {result.late_runs.sum()} late runs)"
+    place = str(result.prediction) if result.prediction >= 0 else "-"
     mark = "!" if right is False else " "
     return (
-        f"{sighting.frame:>6} {place:>6}{mark}{sighting.confidence:>10.2f} {p:>5}"
-        f" {sighting.milliseconds:>8.1f}  {words}"
+        f"{result.frame:>6} {place:>6}{mark}{result.confidence:>10.2f} {p:>5}"
+        f" {result.milliseconds:>8.1f}  {words}"
     )
 
 

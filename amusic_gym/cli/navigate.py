@@ -24,14 +24,14 @@ from amusic_gym.cli.drive import Journal, check_outputs
 from amusic_gym.cli.images import map_of, run_of, techniques_of
 from amusic_gym.cli.parser import Parser, add_statistic, correction_of, destination, insisted
 from amusic_gym.envs.live_route import FrameSource, ImageSequence, LiveRoute
-from amusic_gym.envs.pictures.sightings import Pictures
+from amusic_gym.envs.pictures.drive import Pictures
 from amusic_gym.envs.task import RENDER_FPS
 from amusic_gym.envs.window import Window
 from amusic_gym.evaluation.contestants import Contestant, check_weights, contestants
 from amusic_gym.evaluation.plots.labels import policy_label
 from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.map import DescribedMap, describe_map
-from amusic_gym.live.navigation import Sighting, TraceWriter, navigate
+from amusic_gym.live.navigation import FrameResult, TraceWriter, navigate
 from amusic_gym.policies.protocol import Context
 from amusic_gym.routes.folders import ImageFolder, check_apart
 from amusic_gym.routes.image_truth import from_file, warn_of_shared_files
@@ -109,11 +109,11 @@ def main(args: argparse.Namespace) -> None:
         pictures = Pictures(route, f"{route.name}, {policy_label(args.policy)}")
         trace = stack.enter_context(TraceWriter(args.trace, route)) if args.trace else None
         journal = stack.enter_context(Journal(route, quiet=args.quiet))
-        for sighting in islice(_drive(policy, route, correction, args.seed), args.frames):
-            journal.write(sighting)
+        for result in islice(_drive(policy, route, correction, args.seed), args.frames):
+            journal.write(result)
             if trace:
-                trace.write(sighting)
-            picture = pictures.draw(sighting) if video or window else None
+                trace.write(result)
+            picture = pictures.draw(result) if video or window else None
             if video and picture is not None:
                 video.write(picture)
             if window and picture is not None:
@@ -219,7 +219,7 @@ def _warm_up(
 
 def _drive(
     policy: Contestant, route: LiveRoute, correction: Mapping[str, Any], seed: int
-) -> Iterator[Sighting]:
+) -> Iterator[FrameResult]:
     """A drive with a fresh policy."""
     made = policy.make(Context.of(route, seed=seed, **correction))
     return navigate(made, route, compute_weight=policy.compute_weights[0], **correction)

@@ -155,8 +155,8 @@ class Map(Protocol):
         ...
 
 
-class Wheel:
-    """Who drives a source that only one may drive: the one that took the wheel last."""
+class SourceOwner:
+    """Who drives a source that only one may drive: the one that began last."""
 
     turn = 0
 
@@ -223,7 +223,7 @@ class LiveRoute:
         self.places = places
         self.truth, self.tolerance = self._truth(ground_truth, tolerance)
         self.charge_wall_time = flag("charge_wall_time", charge_wall_time)
-        self.wheel = Wheel()
+        self.owner = SourceOwner()
         if costs not in COST_MODELS:
             raise ValueError(suggest("cost model", costs, COST_MODELS))
         given = costs if seconds is not None else "measured"

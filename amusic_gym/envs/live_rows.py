@@ -60,14 +60,14 @@ class LiveRows:
         self.read_milliseconds = 0.0
         self.moved = True
         self._images: deque[Image] = deque(maxlen=block + 1)
-        self._take_wheel()
+        self._take_source()
 
-    def _take_wheel(self) -> None:
+    def _take_source(self) -> None:
         source = self.route.frames
         if not source.random_access:
-            self.route.wheel.turn += 1
+            self.route.owner.turn += 1
             source.rewind()
-        self._turn = self.route.wheel.turn
+        self._turn = self.route.owner.turn
 
     @property
     def frames(self) -> int | None:
@@ -91,7 +91,7 @@ class LiveRows:
         if frame == self.frame:  # it was read, but another route's image stopped the step
             return True
         source, name = self.route.frames, self.route.name
-        if not source.random_access and self._turn != self.route.wheel.turn:
+        if not source.random_access and self._turn != self.route.owner.turn:
             raise ValueError(
                 f"live route {name!r} is driven by another environment or route now; only one may"
                 " drive a source that cannot be read in any order"

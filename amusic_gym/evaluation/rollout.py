@@ -101,9 +101,9 @@ def _navigate(
     attributes = {**INFOS, "late_runs": "late_runs", "selections": "selection"}
     columns: dict[str, list[Any]] = {column: [] for column in attributes}
     options = how._asdict() if isinstance(policy, Selector) else {}
-    for sighting in navigate(policy, route, compute_weight=compute_weight, **options):
+    for result in navigate(policy, route, compute_weight=compute_weight, **options):
         for column, attribute in attributes.items():
-            columns[column].append(getattr(sighting, attribute))
+            columns[column].append(getattr(result, attribute))
     estimates = columns.pop("p_correct")
     if isinstance(policy, Selector):
         columns["p_correct"] = estimates

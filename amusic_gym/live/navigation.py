@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Sighting:
+class FrameResult:
     """One frame of a drive: what ran, where the robot is, and how long it took.
 
     Attributes:
@@ -74,7 +74,7 @@ def navigate(
     carry: bool | None = None,
     discount: bool | None = None,
     compute_weight: float | None = None,
-) -> Iterator[Sighting]:
+) -> Iterator[FrameResult]:
     """Run a policy along a live route, one frame at a time.
 
     A frame's image is read, and its techniques run, when the iterator is asked for it; the
@@ -101,7 +101,7 @@ def navigate(
 
 def _select(
     policy: Selector, route: LiveRoute, how: Correction, compute_weight: float | None
-) -> Iterator[Sighting]:
+) -> Iterator[FrameResult]:
     from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
     needs = policy.needs
@@ -146,7 +146,7 @@ def _told(info: dict[str, Any], techniques: int) -> dict[str, Any]:
     }
 
 
-def _localise(policy: Localiser, route: LiveRoute) -> Iterator[Sighting]:
+def _localise(policy: Localiser, route: LiveRoute) -> Iterator[FrameResult]:
     drive = route.drive(0, SICSettings(), 0)
     techniques = len(route.techniques)
     policy.reset(route.references, techniques)
@@ -181,9 +181,9 @@ def _localise(policy: Localiser, route: LiveRoute) -> Iterator[Sighting]:
         frame += 1
 
 
-def _seen(drive: LiveRows, elapsed: float, **told: Any) -> Sighting:
+def _seen(drive: LiveRows, elapsed: float, **told: Any) -> FrameResult:
     """A frame with what the drive knows of it; ``elapsed`` milliseconds in all."""
-    return Sighting(
+    return FrameResult(
         frame=drive.frame,
         image=drive.image(),
         run_milliseconds=drive.milliseconds + drive.late_milliseconds,
@@ -207,8 +207,8 @@ class TraceWriter:
 
     Example:
         >>> with TraceWriter("trace.csv", route) as writer:  # doctest: +SKIP
-        ...     for sighting in navigate(policy, route):
-        ...         writer.write(sighting)
+        ...     for result in navigate(policy, route):
+        ...         writer.write(result)
     """
 
     def __init__(self, path: str | Path, route: LiveRoute) -> None:
@@ -225,26 +225,26 @@ class TraceWriter:
         self._writer = CsvWriter(self._file)
         self._writer.writerow(self.columns)
 
-    def write(self, sighting: Sighting) -> None:
+    def write(self, result: FrameResult) -> None:
         """Write a frame's line."""
-        frame, prediction = sighting.frame, sighting.prediction
+        frame, prediction = result.frame, result.prediction
         known = None if self.truth is None else bool(self.truth.correct([prediction], [frame])[0])
         line = csv_line(
             frame,
             prediction,
-            float(sighting.confidence),
-            float(sighting.similarity),
-            sighting.p_correct,
+            float(result.confidence),
+            float(result.similarity),
+            result.p_correct,
             known,
-            sighting.active,
-            int(sighting.late_runs.sum()),
+            result.active,
+            int(result.late_runs.sum()),
         )
         self._writer.writerow(
             [
                 *line,
-                f"{sighting.milliseconds:.3f}",
-                f"{sighting.read_milliseconds:.3f}",
-                *(f"{ms:.3f}" for ms in sighting.run_milliseconds),
+                f"{result.milliseconds:.3f}",
+                f"{result.read_milliseconds:.3f}",
+                *(f"{ms:.3f}" for ms in result.run_milliseconds),
             ]
         )
 

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from amusic_gym.pretraining.cameras import Image, draw_camera, photograph, seen_corners
-from amusic_gym.pretraining.job import Job
+from amusic_gym.pretraining.job import TrainingJob
 from amusic_gym.pretraining.loop import Training
 from amusic_gym.pretraining.pools import Pool, PoolSize, collage
 from amusic_gym.techniques.networks import CALCEncoder
@@ -124,7 +124,7 @@ def finished(model: AutoEncoder) -> CALCEncoder:
     return encoder.eval()
 
 
-def train(job: Job, settings: Settings) -> list[float]:
+def train(job: TrainingJob, settings: Settings) -> list[float]:
     """Train, validate and write the weights; gives the loss of each step.
 
     Raises:

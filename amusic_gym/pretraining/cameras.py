@@ -1,7 +1,7 @@
 """Random cameras: what rendered images go through so that networks do not learn the renderer.
 
 Real traverses are each recorded by one camera in one light: what a traverse's images share is a
-:class:`Camera`, drawn once per traverse. What changes from frame to frame is drawn per image.
+:class:`RandomCamera`, drawn once per traverse. What changes from frame to frame is drawn per image.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ GRAIN = np.random.default_rng(7).standard_normal(1_000_000, np.float32)
 
 
 @dataclass(frozen=True)
-class Camera:
+class RandomCamera:
     """What all images of a traverse share."""
 
     bend: float  # radial distortion; above 0 a fish-eye's
@@ -51,7 +51,7 @@ def warp(image: Image, corners: Floats, bend: float = 0.0) -> Image:
         image: (H, W, 3) or (H, W).
         corners: (4, 2) where the picture's corners lie in the image, -1 to 1 both ways, in the
             order of ``CORNERS``. Beyond its edges the image is mirrored.
-        bend: see :class:`Camera`.
+        bend: see :class:`RandomCamera`.
 
     Returns:
         (HEIGHT, WIDTH) or (HEIGHT, WIDTH, 3).
@@ -79,7 +79,7 @@ def seen_corners(rng: np.random.Generator, zoom: float, jitter: float) -> Floats
     return np.asarray(corners, np.float32)
 
 
-def draw_camera(rng: np.random.Generator) -> Camera:
+def draw_camera(rng: np.random.Generator) -> RandomCamera:
     """A camera at random: most are ordinary in most respects."""
 
     def sometimes(share: float, low: float, high: float, usual: float) -> float:
@@ -87,7 +87,7 @@ def draw_camera(rng: np.random.Generator) -> Camera:
         return drawn if rng.random() < share else usual
 
     gains = np.exp(rng.normal(0, 0.15, 3))
-    return Camera(
+    return RandomCamera(
         bend=sometimes(0.5, -0.1, 0.6, 0.0),
         corners=seen_corners(rng, rng.uniform(0.8, 1), 0.05),
         gains=(float(gains[0]), float(gains[1]), float(gains[2])),
@@ -117,7 +117,7 @@ def occlude(image: Image, rng: np.random.Generator, share: float) -> None:
     image[top : top + high, left : left + wide] = rng.integers(0, 256, 3)
 
 
-def tone_curve(camera: Camera, light: float) -> Image:
+def tone_curve(camera: RandomCamera, light: float) -> Image:
     """(256,) what a camera makes of each value; ``light`` is this frame's own."""
     values = 255 * (np.arange(256) / 255) ** camera.gamma
     values = (values - 128) * camera.contrast + 128 + camera.light + light
@@ -125,7 +125,7 @@ def tone_curve(camera: Camera, light: float) -> Image:
 
 
 def photograph(
-    image: Image, camera: Camera, rng: np.random.Generator, jitter: float = 0.04
+    image: Image, camera: RandomCamera, rng: np.random.Generator, jitter: float = 0.04
 ) -> Image:
     """One frame as a camera takes it: (H, W, 3) BGR -> (HEIGHT, WIDTH, 3) BGR."""
     shaken = rng.uniform(-jitter, jitter, 2) + rng.uniform(-jitter, jitter, (4, 2)) / 2

@@ -32,7 +32,7 @@ Describe = Callable[[list[Image]], NDArray[np.float32]]
 
 
 @dataclass(frozen=True)
-class Job:
+class TrainingJob:
     """Where a training writes, and how it shows itself; the weights do not depend on it.
 
     Attributes:
@@ -128,5 +128,7 @@ def train(technique: str, given: argparse.Namespace) -> None:
         raise ValueError(f"--seed is {given.seed}; give a whole number from 0 on")
     module: Any = importlib.import_module(f"amusic_gym.pretraining.{technique}")
     with one_thread():
-        module.train(Job(given.out, given.resume, given.images), module.Settings(seed=given.seed))
+        module.train(
+            TrainingJob(given.out, given.resume, given.images), module.Settings(seed=given.seed)
+        )
     print(f"The weights are in {given.out}; use them with --weights {technique}={given.out}")

@@ -18,7 +18,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from amusic_gym.pretraining.job import Job
+from amusic_gym.pretraining.job import TrainingJob
 from amusic_gym.utils.storage import write_whole
 
 SAVE_EVERY = 100
@@ -78,7 +78,7 @@ class Training:
     """
 
     def __init__(
-        self, network: nn.Module, job: Job, stage: str, settings: Mapping[str, Any], *,
+        self, network: nn.Module, job: TrainingJob, stage: str, settings: Mapping[str, Any], *,
         steps: int, rate: float, needed: bool = True,
     ) -> None:  # fmt: skip
         self.network = network

@@ -24,7 +24,7 @@ from torch import Tensor
 from torch.nn import functional as F  # noqa: N812 (its usual name)
 
 from amusic_gym.pretraining.cameras import CORNERS, Image, draw_camera, photograph, seen_corners
-from amusic_gym.pretraining.job import Job
+from amusic_gym.pretraining.job import TrainingJob
 from amusic_gym.pretraining.loop import Training
 from amusic_gym.pretraining.pools import Pool, PoolSize, collage
 from amusic_gym.techniques.networks import NetVLADNetwork, NetVLADWidths
@@ -205,7 +205,7 @@ def set_whitening(network: NetVLADNetwork, pool: Pool, settings: Settings) -> No
 # ---- all together ---------------------------------------------------------------------------
 
 
-def train(job: Job, settings: Settings) -> tuple[list[float], list[float]]:
+def train(job: TrainingJob, settings: Settings) -> tuple[list[float], list[float]]:
     """Train, validate and write the weights; gives the losses of both stages' steps.
 
     Raises:

@@ -16,7 +16,7 @@ FOCAL = 0.72
 
 
 @dataclass(frozen=True)
-class Camera:
+class ViewCamera:
     """Where the camera is and how it looks.
 
     Attributes:
@@ -50,13 +50,13 @@ class Camera:
 
 def aim(
     world: World, look: Look, run: int, frame: int, along: float, size: tuple[int, int]
-) -> Camera:
+) -> ViewCamera:
     """The camera of a frame: it sways a little, differently in every drive."""
     rng = generator(world.seed, "sway", run, frame)
     width = world.route.SWAY
     drift = 0.1 * np.sin(along / 37.0 + 2.1 * run) + 0.04 * rng.normal()
     turn = 0.004 * np.sin(along / 23.0 + 1.3 * run) + 0.003 * rng.normal()
-    return Camera(
+    return ViewCamera(
         along=along + 0.12 * rng.normal(),
         right=(look.shift + look.sway * drift) * width,
         yaw=look.yaw + look.sway * turn,

@@ -6,7 +6,7 @@ import numpy as np
 
 from amusic_gym.worlds import ground
 from amusic_gym.worlds.facades import SIGNS, lettering
-from amusic_gym.worlds.ground import BLOCK, Plan
+from amusic_gym.worlds.ground import BLOCK, GroundPlan
 from amusic_gym.worlds.layout import Block
 from amusic_gym.worlds.noise import Generator, generator, patch
 from amusic_gym.worlds.paint import Colour, Paint, dim, pick, vary
@@ -30,7 +30,7 @@ def half_width(seed: int, block: int) -> float:
     return float(generator(seed, "width", block // 3).choice([1.1, 1.35, 1.7, 2.3]))
 
 
-def plan(seed: int, number: int, season: str) -> Plan:
+def plan(seed: int, number: int, season: str) -> GroundPlan:
     """The floor of a block."""
     return ground.floor(seed, number)
 

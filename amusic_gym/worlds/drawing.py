@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from amusic_gym.worlds import corridor, ground
-from amusic_gym.worlds.camera import Camera
+from amusic_gym.worlds.camera import ViewCamera
 from amusic_gym.worlds.conditions import Look
 from amusic_gym.worlds.film import Image, develop
 from amusic_gym.worlds.ground import ACROSS, ALONG, BLOCK, HALF
@@ -20,7 +20,7 @@ from amusic_gym.worlds.sky import RISE, ROUND
 from amusic_gym.worlds.world import World
 
 
-def draw(world: World, camera: Camera, look: Look, run: int, frame: int) -> Image:
+def draw(world: World, camera: ViewCamera, look: Look, run: int, frame: int) -> Image:
     """The image that a camera takes.
 
     Args:
@@ -73,7 +73,7 @@ def indoors(look: Look) -> Look:
 
 
 def _ground(
-    canvas: Floats, inverse_depth: Floats, world: World, camera: Camera, look: Look, run: int,
+    canvas: Floats, inverse_depth: Floats, world: World, camera: ViewCamera, look: Look, run: int,
     first: int,
 ) -> None:  # fmt: skip
     """Draw the ground and, in a corridor, its ceiling."""
@@ -90,7 +90,12 @@ def _ground(
 
 
 def _planes(
-    canvas: Floats, inverse_depth: Floats, world: World, camera: Camera, look: Look, things: Things
+    canvas: Floats,
+    inverse_depth: Floats,
+    world: World,
+    camera: ViewCamera,
+    look: Look,
+    things: Things,
 ) -> None:
     """Draw planes from far to near."""
     if not things.keys:
@@ -117,7 +122,7 @@ def _planes(
         )  # fmt: skip
 
 
-def _lamps(world: World, camera: Camera, look: Look, things: Things) -> Floats:
+def _lamps(world: World, camera: ViewCamera, look: Look, things: Things) -> Floats:
     """(N, 6) lamps near the camera, in its axes."""
     if look.lamps <= 0 or not len(things.lamps):
         return np.zeros((0, 6), np.float32)
@@ -134,7 +139,7 @@ def _lamps(world: World, camera: Camera, look: Look, things: Things) -> Floats:
 
 
 def _backdrop(
-    picture: Floats, inverse_depth: Floats, world: World, camera: Camera, look: Look, run: int
+    picture: Floats, inverse_depth: Floats, world: World, camera: ViewCamera, look: Look, run: int
 ) -> None:
     """Sky and skyline where nothing stands."""
     panorama = world.clouds(look, run)

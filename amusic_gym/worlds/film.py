@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.worlds.camera import FOCAL, Camera
+from amusic_gym.worlds.camera import FOCAL, ViewCamera
 from amusic_gym.worlds.conditions import Look
 from amusic_gym.worlds.noise import FIELD, Floats, Generator, fractal
 
@@ -14,7 +14,7 @@ Image = NDArray[np.uint8]
 
 
 def develop(
-    picture: Floats, inverse_depth: Floats, look: Look, camera: Camera, rng: Generator
+    picture: Floats, inverse_depth: Floats, look: Look, camera: ViewCamera, rng: Generator
 ) -> Image:
     """Mirrors, rain, glare, blur, noise and the range of the sensor."""
     columns = camera.size[0]
@@ -51,7 +51,7 @@ def _grain(rng: Generator, rows: int, columns: int) -> Floats:
     return grain[:, ::-1] if rng.random() < 0.5 else grain
 
 
-def _reflect(picture: Floats, inverse_depth: Floats, look: Look, camera: Camera) -> None:
+def _reflect(picture: Floats, inverse_depth: Floats, look: Look, camera: ViewCamera) -> None:
     """Wet ground mirrors what stands above the horizon."""
     horizon = round(camera.lens[2])
     rows = picture.shape[0]

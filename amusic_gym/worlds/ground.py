@@ -27,7 +27,7 @@ BLOCK = 24
 Texture = NDArray[np.uint8]
 
 
-class Plan:
+class GroundPlan:
     """A block's ground while it is painted; across from -HALF to HALF, along from 0 to BLOCK."""
 
     def __init__(self, rng: Generator, colour: Colour) -> None:
@@ -85,7 +85,7 @@ def shaded(texture: Texture, shadows: Iterable[NDArray[np.float64]], dark: float
 GRASS = {"summer": (52, 112, 92), "autumn": (62, 108, 118), "winter": (228, 224, 220)}
 
 
-def street(seed: int, block: int, zone: str, season: str, half: float, walk: float) -> Plan:
+def street(seed: int, block: int, zone: str, season: str, half: float, walk: float) -> GroundPlan:
     """Road of half width ``half`` with markings, repairs and kerbs, pavements, what lies beyond."""
     rng = generator(seed, "ground", block)
     look = generator(seed, "road", block // 6)
@@ -93,7 +93,7 @@ def street(seed: int, block: int, zone: str, season: str, half: float, walk: flo
     beyond = GRASS[season] if zone in ("suburb", "park") else (122, 126, 128)
     if snow:
         beyond = GRASS["winter"]
-    plan = Plan(rng, beyond)
+    plan = GroundPlan(rng, beyond)
     plan.grain(-HALF, HALF, 0.12)
     asphalt = look.uniform(70, 112)
     plan.strip(-half, half, (asphalt * 1.02, asphalt, asphalt * 0.98))
@@ -125,7 +125,7 @@ def street(seed: int, block: int, zone: str, season: str, half: float, walk: flo
     return plan
 
 
-def _markings(plan: Plan, rng: Generator, look: Generator, half: float) -> None:
+def _markings(plan: GroundPlan, rng: Generator, look: Generator, half: float) -> None:
     white = (205.0, 208.0, 208.0)
     style = int(look.integers(4))
     if style in (0, 1):
@@ -148,7 +148,7 @@ def _markings(plan: Plan, rng: Generator, look: Generator, half: float) -> None:
     plan.colour *= (1 + 0.05 * wear)[..., None]
 
 
-def leaves(plan: Plan, rng: Generator, half: float, count: int) -> None:
+def leaves(plan: GroundPlan, rng: Generator, half: float, count: int) -> None:
     """Fallen leaves, thick at the kerbs."""
     x = np.where(rng.random(count) < 0.5, 1, -1) * np.abs(rng.normal(half, 1.8, count))
     s = rng.uniform(0, BLOCK, count)
@@ -160,7 +160,7 @@ def leaves(plan: Plan, rng: Generator, half: float, count: int) -> None:
     plan.colour[rows, columns + 1] = chosen
 
 
-def _snow(plan: Plan, half: float, walk: float) -> None:
+def _snow(plan: GroundPlan, half: float, walk: float) -> None:
     plan.cover(-half - walk, -half, (232, 228, 226), 0.85, 2.0)
     plan.cover(half, half + walk, (232, 228, 226), 0.85, 2.0)
     plan.cover(-half, half, (215, 212, 210), 0.5, 2.5)
@@ -171,12 +171,12 @@ def _snow(plan: Plan, half: float, walk: float) -> None:
     plan.grain(-HALF, HALF, 0.035, 1.0, 2.0)
 
 
-def rail(seed: int, block: int, zone: str, season: str, tracks: int) -> Plan:
+def rail(seed: int, block: int, zone: str, season: str, tracks: int) -> GroundPlan:
     """Ballast, sleepers, a path beside the line and the land around it."""
     rng = generator(seed, "ground", block)
     snow = season == "winter"
     land = (205, 206, 206) if zone == "rock" and snow else GRASS[season]
-    plan = Plan(rng, land)
+    plan = GroundPlan(rng, land)
     plan.cover(-HALF, HALF, (70, 95, 105) if not snow else (190, 195, 198), 0.3, 2.0)
     plan.grain(-HALF, HALF, 0.14)
     right = 1.9 + 4.2 * (tracks - 1)
@@ -203,13 +203,13 @@ def rail(seed: int, block: int, zone: str, season: str, tracks: int) -> Plan:
     return plan
 
 
-def floor(seed: int, block: int) -> Plan:
+def floor(seed: int, block: int) -> GroundPlan:
     """Lino, tiles, carpet or boards of a corridor."""
     look = generator(seed, "floor", block // 5)
     rng = generator(seed, "ground", block)
     tint = np.array([[115, 112, 108], [90, 105, 125], [130, 140, 150], [110, 95, 80], [80, 90, 85]])
     base = tint[int(look.integers(5))] * look.uniform(0.75, 1.2)
-    plan = Plan(rng, (float(base[0]), float(base[1]), float(base[2])))
+    plan = GroundPlan(rng, (float(base[0]), float(base[1]), float(base[2])))
     kind = int(look.integers(3))
     if kind == 0:
         size = float(look.choice([0.4, 0.6, 1.0]))
@@ -226,12 +226,12 @@ def floor(seed: int, block: int) -> Plan:
     return plan
 
 
-def ceiling(seed: int, block: int) -> Plan:
+def ceiling(seed: int, block: int) -> GroundPlan:
     """Panels with light fittings and vents."""
     look = generator(seed, "ceiling", block // 5)
     rng = generator(seed, "ceiling", "block", block)
     tone = look.uniform(165, 215)
-    plan = Plan(rng, (tone * 0.98, tone, tone))
+    plan = GroundPlan(rng, (tone * 0.98, tone, tone))
     size = float(look.choice([0.6, 1.2, 2.0]))
     for s in np.arange(0, BLOCK, size):
         plan.strip(-HALF, HALF, (tone * 0.8,) * 3, s, s + 0.06)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from amusic_gym.worlds import ground
-from amusic_gym.worlds.ground import BLOCK, Plan
+from amusic_gym.worlds.ground import BLOCK, GroundPlan
 from amusic_gym.worlds.layout import Block, zone_of
 from amusic_gym.worlds.noise import Generator, generator
 from amusic_gym.worlds.street import STYLES, house, shrub, tree
@@ -27,7 +27,7 @@ def edge_of(seed: int, side: int) -> float:
     return 3.2 if side < 0 else 4.0 + 4.2 * (tracks_of(seed) - 1)
 
 
-def plan(seed: int, number: int, season: str) -> Plan:
+def plan(seed: int, number: int, season: str) -> GroundPlan:
     """The ground of a block."""
     zone = zone_of(seed, number, 1, ZONES, ZONE_BLOCKS)
     return ground.rail(seed, number, zone, season, tracks_of(seed))

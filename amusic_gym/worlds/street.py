@@ -9,7 +9,7 @@ import numpy as np
 
 from amusic_gym.worlds import ground
 from amusic_gym.worlds.facades import style_of
-from amusic_gym.worlds.ground import BLOCK, Plan
+from amusic_gym.worlds.ground import BLOCK, GroundPlan
 from amusic_gym.worlds.layout import Block, Key, split, zone_of
 from amusic_gym.worlds.noise import Generator, generator
 from amusic_gym.worlds.plants import TREES
@@ -27,7 +27,7 @@ WALK = 2.4
 EDGE = ROAD + WALK
 
 
-def plan(seed: int, number: int, season: str) -> Plan:
+def plan(seed: int, number: int, season: str) -> GroundPlan:
     """The ground of a block."""
     zone = zone_of(seed, number, 1, ZONES, ZONE_BLOCKS)
     return ground.street(seed, number, zone, season, ROAD, WALK)

@@ -16,7 +16,7 @@ from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import suggest
 from amusic_gym.worlds import corridor, ground, railway, sky, street
 from amusic_gym.worlds.conditions import Look
-from amusic_gym.worlds.ground import BLOCK, Plan, Texture
+from amusic_gym.worlds.ground import BLOCK, GroundPlan, Texture
 from amusic_gym.worlds.layout import Block, Key, Things
 from amusic_gym.worlds.noise import generator
 from amusic_gym.worlds.textures import Levels, pyramid, texture
@@ -127,7 +127,7 @@ class World:
             season, side, dark, run = "summer", 0.0, 0.0, 0
 
         def plan(number: int) -> Texture:
-            draw: Callable[[], Plan] = partial(self.route.plan, self.seed, number, season)
+            draw: Callable[[], GroundPlan] = partial(self.route.plan, self.seed, number, season)
             base = self._store.get(("plan", number, season), lambda: draw().texture())
             if not dark:
                 return base

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from amusic_baselines import make_policy
 from numpy.typing import NDArray
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.extraction.blocks import BLOCK, describe_one
 from amusic_gym.extraction.map import DescribedMap
+from amusic_gym.policies.protocol import Context
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
 
 NAMES = ("HOG", "CALC", "CoHOG")
@@ -127,3 +129,8 @@ def pair(queries: int = 30, references: int = 20, **options: Any) -> tuple[Score
     maps, images = maps_of(references), traverse(queries, seed=2)
     bank = bank_of(maps, images)
     return bank, live_of(maps, images, ground_truth=bank.truth, **options)
+
+
+def policy_on(spec: str, route: Any, seed: int = 3) -> Any:
+    """The policy behind ``spec`` for a route."""
+    return make_policy(spec, Context.of(route, statistic="evidence", seed=seed))

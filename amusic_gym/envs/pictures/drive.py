@@ -1,4 +1,4 @@
-"""Pictures of a drive along a live route, sighting by sighting."""
+"""Pictures of a drive along a live route, frame by frame."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from amusic_gym.envs.pictures.scene import Scene, Trail
 
 if TYPE_CHECKING:
     from amusic_gym.envs.live_route import LiveRoute
-    from amusic_gym.live.navigation import Sighting
+    from amusic_gym.live.navigation import FrameResult
 
 
 class Pictures:
-    """Draws one sighting after the other, with the trail of those before.
+    """Draws one frame after the other, with the trail of those before.
 
     Args:
         route: the route that is driven. Whether a place is right is shown where it knows its
@@ -28,26 +28,26 @@ class Pictures:
         self.title = title
         self.trail = Trail()
 
-    def draw(self, sighting: Sighting) -> NDArray[np.uint8]:
-        """The picture of the next sighting, (540, 960, 3) uint8 red-green-blue."""
+    def draw(self, result: FrameResult) -> NDArray[np.uint8]:
+        """The picture of the next frame, (540, 960, 3) uint8 red-green-blue."""
         from amusic_gym.envs.pictures.layout import draw
 
-        return draw(self.scene(sighting))
+        return draw(self.scene(result))
 
-    def scene(self, sighting: Sighting) -> Scene:
-        """What the picture of the next sighting shows."""
-        route, place = self.route, sighting.prediction
-        runs = sighting.ran + sighting.late_runs
+    def scene(self, result: FrameResult) -> Scene:
+        """What the picture of the next frame shows."""
+        route, place = self.route, result.prediction
+        runs = result.ran + result.late_runs
         only_trusted = np.full(len(route.techniques), -1)
-        if sighting.technique >= 0:
-            only_trusted[sighting.technique] = place
+        if result.technique >= 0:
+            only_trusted[result.technique] = place
         self.trail.add(
             prediction=place,
-            trusted=sighting.technique,
-            ran=sighting.ran,
-            places=only_trusted,  # a sighting does not know the others' places
+            trusted=result.technique,
+            ran=result.ran,
+            places=only_trusted,  # a result does not know the others' places
             compute=float(runs @ route.seconds / route.seconds.sum()),
-            correct=self._correct(sighting),
+            correct=self._correct(result),
         )
         return Scene(
             title=self.title,
@@ -55,14 +55,14 @@ class Pictures:
             references=route.references,
             frames=route.frames.length,
             trail=self.trail,
-            confidence=sighting.confidence,
-            p_correct=sighting.p_correct,
-            milliseconds=sighting.run_milliseconds,
-            query=sighting.image,
+            confidence=result.confidence,
+            p_correct=result.p_correct,
+            milliseconds=result.run_milliseconds,
+            query=result.image,
             place=route.places[place] if route.places is not None and place >= 0 else None,
         )
 
-    def _correct(self, sighting: Sighting) -> bool | None:
+    def _correct(self, result: FrameResult) -> bool | None:
         if self.route.truth is None:
             return None
-        return bool(self.route.truth.correct([sighting.prediction], [sighting.frame])[0])
+        return bool(self.route.truth.correct([result.prediction], [result.frame])[0])

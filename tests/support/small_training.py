@@ -16,13 +16,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from amusic_agents.config import ImitationConfig, RolloutConfig, TrainingConfig, training_config
 from amusic_agents.evaluation import HeldOut
 from env_cases import random_bank
 from safetensors.torch import load_file
 
 from amusic_gym.evaluation.rollout import Job
 
-SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 SMALL: dict[str, Any] = {
     "n_envs": 4,
     "n_steps": 8,
@@ -32,6 +33,25 @@ SMALL: dict[str, Any] = {
     "pool": 2,
 }
 """32 frames an update; an evaluation before every third."""
+TRIED: dict[str, Any] = {
+    **{"iterations": 4, "states": 8, "kept": 2, "subsets": 4, "hold": 2, "horizon": 6},
+    **{"every": 3, "epochs": 2, "batch_size": 4},
+}
+"""Four iterations of eight states; of the last two's is learned."""
+
+
+def small(algorithm: str = "imitation", **changes: Any) -> TrainingConfig:
+    """Three rounds of 4 · 20 frames, then 96 frames of PPO."""
+    settings = {"rounds": 3, "frames": 80, "epochs": 2, "batch_size": 64}
+    settings |= changes.pop("imitation", {})
+    given = {**SMALL, "timesteps": 96, "imitation": ImitationConfig(**settings), **changes}
+    return training_config(algorithm, **given)
+
+
+def small_rollouts(**changes: Any) -> TrainingConfig:
+    """Policy iteration of `TRIED`."""
+    tried = RolloutConfig(**{**TRIED, **changes.pop("rollouts", {})})
+    return training_config("rollouts", **{**SMALL, "rollouts": tried, **changes})
 
 
 class Quick(HeldOut):
