@@ -48,7 +48,7 @@ STEADY_JUMP = 1.5e-4
 HUB_STEP = 0.15
 """Weight of the newest row in a technique's mean row."""
 
-VARIANCE_STEP = 0.03
+VARIANCE_STEP = 0.02
 """Least weight of the newest row in the variance of a place's scores."""
 
 LEAST_VARIANCE = 0.05
@@ -78,7 +78,7 @@ ACQUAINTED = 20
 STILL = 0.45
 """Deviation of the news, in the usual one, that speaks neither for standing nor against it."""
 
-STAND = 5.0
+STAND = 3.0
 """Log-likelihood of standing per unit below that."""
 
 NOT_STANDING = -0.5
