@@ -91,20 +91,25 @@ def z_scores(row: Floats) -> Floats | None:
     return np.array([0.0 if v == -math.inf else (v - mean) / math.sqrt(variance) for v in row])
 
 
-def likelihood_of(known: Technique, row: Floats) -> Floats | None:
-    """Likelihood of every place, 1 on average over the candidates; None for a constant row."""
+def power(value: float) -> float:
+    """Exponential, nearly."""
+    return (1.0 + max(value, -60.0) / 65536.0) ** 65536
+
+
+def likelihood_of(known: Technique, row: Floats) -> tuple[Floats, Floats] | None:
+    """Likelihood of every place, 1 on average, and its logarithm, nearly; None: constant row."""
     z, size = z_scores(row), len(row)
     known.news = 0.0
     if z is None:
         return None
-    squares = math.fsum(z**2), math.fsum(known.hub**2) + 1e-12
-    alike = clamp(math.fsum(z * known.hub) / math.sqrt(squares[0] * squares[1]), 0.0, 1.0)
+    masked = row == -math.inf
+    known.hub[masked] = 0.0
+    squares = math.fsum(z**2) * math.fsum(known.hub**2)
+    alike = clamp(math.fsum(z * known.hub) / math.sqrt(squares + 1e-12), 0.0, 1.0)
     step = model.HUB_STEP if known.rows else 1.0
     spread = max(model.VARIANCE_STEP, 1.0 / (known.rows + 2))
     score, square = [0.0] * size, 0.0
     for c in range(size):
-        if row[c] == -math.inf:
-            continue
         news = z[c] - alike * known.hub[c]
         square += news**2 / size
         score[c] = news / math.sqrt(max(known.variance[c], model.LEAST_VARIANCE))
@@ -120,17 +125,13 @@ def likelihood_of(known: Technique, row: Floats) -> Floats | None:
     mean = math.fsum(score) / size
     deviation = math.sqrt(math.fsum((value - mean) ** 2 for value in score) / size)
     known.news = math.sqrt(min(deviation, 1.0))
-    powers = [
-        0.0
-        if row[c] == -math.inf
-        else math.exp(
-            model.SLOPE * known.news * min((score[c] - mean) / max(deviation, 1e-9), 30.0)
-        )
-        for c in range(size)
-    ]
-    candidates = sum(value != -math.inf for value in row)
-    whole = math.fsum(powers)
-    return np.array([0.5 + 0.5 * candidates * value / whole for value in powers])
+    slope, top = model.SLOPE * known.news / max(deviation, 1e-9), max(score)
+    exponents = [-math.inf if masked[c] else slope * (score[c] - top) for c in range(size)]
+    powers = [0.0 if masked[c] else power(exponents[c]) for c in range(size)]
+    factor = 0.5 * size / math.fsum(powers)
+    excess = [exponent + math.log(factor / 0.5) for exponent in exponents]
+    logs = [math.log(0.5) + max(x, 0.0) + math.log1p(power(-abs(x))) for x in excess]
+    return np.array([0.5 + factor * value for value in powers]), np.array(logs)
 
 
 # ---- techniques --------------------------------------------------------------------------
@@ -195,10 +196,7 @@ def likeliest(values: Floats, tolerance: int) -> tuple[int, float, float]:
     """Place whose window holds most, its share, and that of the best window apart from it."""
     whole = float(values.sum())
     windows = [window(values, c, tolerance) / whole for c in range(len(values))]
-    best = 0
-    for c in range(len(values)):
-        if windows[c] > windows[best] * (1 + EQUAL):
-            best = c
+    best = next(c for c in range(len(values)) if windows[c] >= max(windows) * (1 - EQUAL))
     place = best
     for c in range(max(best - tolerance, 0), min(best + tolerance + 1, len(values))):
         if windows[c] >= 0.99 * windows[best] and values[c] > values[place] * (1 + EQUAL):
@@ -239,10 +237,10 @@ class Belief:
         factors: dict[int, Floats] = {}
         for t, row in enumerate(rows):
             if row is not None:
-                likelihood = likelihood_of(self.known[t], row)
-                factors[t] = np.ones(self.size) if likelihood is None else likelihood
-                if likelihood is not None:
-                    useful[t] = likelihood
+                found = likelihood_of(self.known[t], row)
+                factors[t] = np.ones(self.size) if found is None else found[0]
+                if found is not None:
+                    useful[t] = found[1]
                 own[t] = own_word(prior * factors[t], row, self.tolerance)
         stood = self._standing(useful)
         prior = prior + (stood - 1.0) * self.lines[0.0]
@@ -250,8 +248,12 @@ class Belief:
         weights = self._weigh(useful, prior)
         together = np.zeros(self.size)
         for t, weight in weights.items():
-            together += weight * np.log(useful[t])
-        lines = {mode: line * np.exp(together) for mode, line in self.lines.items()}
+            together += weight * useful[t]
+        if len(useful) == 1:  # as it is
+            product = factors[next(iter(useful))]
+        else:
+            product = np.array([power(value - together.max()) for value in together])
+        lines = {mode: line * product for mode, line in self.lines.items()}
         whole = sum(line.sum() for line in lines.values())
         self.lines = {mode: line / whole for mode, line in lines.items()}
         places = np.sum(list(self.lines.values()), axis=0)
@@ -281,7 +283,7 @@ class Belief:
         for b, other in enumerate(names):
             for a, one in enumerate(names[:b]):
                 mean, frames = self.alike.get((one, other), (0.0, 0))
-                new = correlation_away(np.log(useful[one]), np.log(useful[other]), place)
+                new = correlation_away(useful[one], useful[other], place)
                 step = max(model.LIKENESS_STEP, 1.0 / (frames + 1))
                 mean += step * (new - mean)
                 self.alike[one, other] = mean, frames + 1

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.estimation.belief.model import AWAY, LIKENESS, LIKENESS_STEP, SWEEPS
+from amusic_gym.estimation.belief.rows import dot, total
 from amusic_gym.kernels.compiling import apart, inner
 
 
@@ -22,17 +23,16 @@ def correlation_away(
 ) -> float:
     """Correlation of two rows (R,) over the places away from ``place``; 0: too few."""
     away = min(AWAY, size // 10)
-    count, a, b, aa, bb, ab = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for part in range(2):
-        first = 0 if part == 0 else place + away + 1
-        stop = place - away if part == 0 else size
-        for c in range(first, stop):
-            count += 1.0
-            a += one[c]
-            b += other[c]
-            aa += one[c] * one[c]
-            bb += other[c] * other[c]
-            ab += one[c] * other[c]
+    a, b, aa, bb, ab = 0.0, 0.0, 0.0, 0.0, 0.0
+    low, high = max(place - away, 0), min(place + away + 1, size)
+    for c in range(low, high):  # taken off again, so that the sums over all run in four lanes
+        a -= one[c]
+        b -= other[c]
+        aa -= one[c] * one[c]
+        bb -= other[c] * other[c]
+        ab -= one[c] * other[c]
+    a, b, count = a + total(one, size), b + total(other, size), float(size - high + low)
+    aa, bb, ab = aa + dot(one, one, size), bb + dot(other, other, size), ab + dot(one, other, size)
     spread = (aa * count - a * a) * (bb * count - b * b)
     if count < 3.0 or spread <= 1e-9 * (aa * bb) * count * count:
         return 0.0

@@ -31,7 +31,7 @@ from amusic_gym.estimation.belief.places import (
     marginalise,
     single_technique_posterior,
 )
-from amusic_gym.estimation.belief.rows import row_likelihood, total
+from amusic_gym.estimation.belief.rows import highest, power, row_likelihood, take_logs, total
 from amusic_gym.estimation.belief.state import LAGGED, LIVE, BeliefState, restart, state_at
 from amusic_gym.estimation.prediction import (
     SMOOTHING,
@@ -61,7 +61,9 @@ def read_rows(state: BeliefState, which: int, i: int, frame: int) -> int:
         known, likelihood = state.techniques[which, i, s], state.likelihoods[s]
         if scale_at(runs[s], frame)[0] > 0.0:
             hub, variance = state.hubs[which, i, s], state.variances[which, i, s]
-            row_likelihood(known, runs[s], frame, hub, variance, likelihood)
+            state.shifts[s] = row_likelihood(
+                known, runs[s], frame, hub, variance, likelihood, state.logs[s]
+            )
             state.weights[s] = 1.0
         else:
             known.news = 0.0
@@ -73,18 +75,11 @@ def read_rows(state: BeliefState, which: int, i: int, frame: int) -> int:
 
 
 @apart
-def take_logs(state: BeliefState, size: int) -> None:
-    """Fill ``logs`` for the techniques that have a weight."""
-    for s in range(state.weights.size):
-        if state.weights[s] > 0.0:
-            likelihood, logs = state.likelihoods[s], state.logs[s]
-            for place in range(size):
-                logs[place] = math.log(likelihood[place])
-
-
-@apart
 def multiply(state: BeliefState, size: int, out: NDArray[np.float64]) -> None:
-    """Write the product (R,) of the likelihoods, each to the power of its weight, to ``out``."""
+    """Write the product (R,) of the likelihoods, each to the power of its weight, to ``out``.
+
+    The highest is 1.
+    """
     for place in range(size):
         out[place] = 0.0
     for s in range(state.weights.size):
@@ -92,8 +87,9 @@ def multiply(state: BeliefState, size: int, out: NDArray[np.float64]) -> None:
             logs, weight = state.logs[s], state.weights[s]
             for place in range(size):
                 out[place] += weight * logs[place]
+    top = highest(out, 0, size)
     for place in range(size):
-        out[place] = math.exp(out[place])
+        out[place] = power(out[place] - top)
 
 
 @apart
@@ -107,7 +103,9 @@ def fuse(state: BeliefState, which: int, i: int, size: int, out: NDArray[np.floa
         for place in range(size):
             out[place] = state.likelihoods[only, place] if useful else 1.0
     else:
-        take_logs(state, size)
+        for s in range(state.weights.size):
+            if state.weights[s] > 0.0:
+                take_logs(state.shifts[s], size, state.logs[s])
         likenesses, likeliest = state.likenesses[which, i], first_highest(state.prior, size)
         learn_likenesses(likenesses, state.logs, state.weights, size, likeliest)
         weigh_techniques(likenesses, state.weights, state.sums)
@@ -148,10 +146,12 @@ def filter_frame(state: BeliefState, which: int, i: int, frame: int) -> None:
     for place in range(size):
         joint[place] = state.prior[place] * factor[place]
     whole = total(joint, size)
+    for place in range(size):
+        factor[place] /= whole
     for mode in range(MODES):
         row = modes[mode]
         for place in range(size):
-            row[place] *= factor[place] / whole
+            row[place] *= factor[place]
     route.p_steady = total(modes[STEADY], size)
     marginalise(state, route, size, tolerance)
     route.log_likelihood = 0.0

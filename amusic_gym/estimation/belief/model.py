@@ -57,9 +57,6 @@ LEAST_VARIANCE = 0.05
 SLOPE = 1.2
 """Log-likelihood per standard deviation of a place's score, far above the floor."""
 
-HIGHEST = 30.0
-"""Standard deviations beyond which a score counts no more, for the range of a float."""
-
 FLOOR = 0.5
 """Probability that a row is about anything but the place: its likelihood never falls below."""
 

@@ -20,6 +20,7 @@ from amusic_gym.estimation.belief.model import (
 )
 from amusic_gym.estimation.belief.rows import total
 from amusic_gym.kernels.compiling import apart, inner
+from amusic_gym.kernels.tables import part
 
 
 @inner
@@ -67,7 +68,7 @@ def predict(
         line: (REACH + R,) scratch, whose first entries are 0.
     """
     add_modes(modes, SPEEDS, size, free)
-    kept, steady = 0.0, modes[STEADY]
+    kept, steady, mixed = 0.0, modes[STEADY], part(line, REACH, size)
     for mode in range(MODES):
         row = modes[mode]
         if mode == STEADY:
@@ -76,7 +77,7 @@ def predict(
             keep, change = (1.0 - SETTLE) * (1.0 - CHANGE), (1.0 - SETTLE) * CHANGE * SHARES[mode]
             leave, jump = LEAVE * SHARES[mode], JUMP
         for c in range(size):
-            line[REACH + c] = keep * row[c] + change * free[c] + leave * steady[c]
+            mixed[c] = keep * row[c] + change * free[c] + leave * steady[c]
         p0, p1, p2, p3 = moves(mode)
         for c in range(size):
             moved = p0 * line[c + 3] + p1 * line[c + 2] + p2 * line[c + 1] + p3 * line[c]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.estimation.belief.model import ENOUGH, SURE
+from amusic_gym.estimation.belief.rows import highest, total
 from amusic_gym.estimation.belief.state import BeliefState, RouteBelief, TechniqueBelief
 from amusic_gym.kernels.compiling import apart, inner
 
@@ -15,29 +16,29 @@ from amusic_gym.kernels.compiling import apart, inner
 @apart
 def window_sums(
     values: NDArray[np.float64], size: int, tolerance: int, out: NDArray[np.float64]
-) -> float:
-    """Sums of ``values`` within the tolerance of each place; returns the sum of all values."""
-    within, whole = 0.0, 0.0
+) -> None:
+    """Sums of ``values`` within the tolerance of each place."""
+    within, wide = 0.0, 2 * tolerance + 1
     for place in range(min(tolerance, size)):
         within += values[place]
     for place in range(size):
-        whole += values[place]
-        if place + tolerance < size:
-            within += values[place + tolerance]
-        if place > tolerance:
-            within -= values[place - tolerance - 1]
-        out[place] = within
-    return whole
+        if place < tolerance + 1 or place + tolerance >= size:
+            within += values[place + tolerance] if place + tolerance < size else 0.0
+            within -= values[place - tolerance - 1] if place > tolerance else 0.0
+            out[place] = within
+        else:
+            within += values[place + tolerance] - values[place + tolerance - wide]
+            out[place] = within
 
 
 @inner
 def first_highest(values: NDArray[np.float64], size: int) -> int:
     """Place of the highest value; of (almost) equal ones the first."""
-    best = 0
-    for place in range(1, size):
-        if values[place] > values[best] * (1.0 + 1e-9):
-            best = place
-    return best
+    enough = highest(values, 0, size) * (1.0 - 1e-9)
+    for place in range(size):
+        if values[place] >= enough:
+            return place
+    return 0
 
 
 @apart
@@ -56,15 +57,11 @@ def likeliest(
     return place
 
 
-@apart
+@inner
 def rival_window(windows: NDArray[np.float64], size: int, place: int, tolerance: int) -> float:
     """Highest sum of a window that shares no place with that of ``place``; 0: there is none."""
-    rival = 0.0
-    for c in range(max(place - 2 * tolerance, 0)):
-        rival = max(rival, windows[c])
-    for c in range(place + 2 * tolerance + 1, size):
-        rival = max(rival, windows[c])
-    return rival
+    before = highest(windows, 0, place - 2 * tolerance)
+    return max(before, highest(windows, place + 2 * tolerance + 1, size), 0.0)
 
 
 @inner
@@ -96,7 +93,8 @@ def single_technique_posterior(
     joint, windows, likelihood = state.joint, state.windows, state.likelihoods[s]
     for place in range(size):
         joint[place] = state.prior[place] * likelihood[place]
-    whole = window_sums(joint, size, tolerance, windows)
+    window_sums(joint, size, tolerance, windows)
+    whole = total(joint, size)
     known.place = likeliest(joint, windows, size, tolerance)
     share = windows[known.place] / whole
     known.statistic = log_odds(share)
@@ -107,7 +105,8 @@ def single_technique_posterior(
 @apart
 def marginalise(state: BeliefState, route: RouteBelief, size: int, tolerance: int) -> None:
     """Find the place whose window holds most of the belief, ``joint``, and its rival."""
-    whole = window_sums(state.joint, size, tolerance, state.windows)
+    window_sums(state.joint, size, tolerance, state.windows)
+    whole = total(state.joint, size)
     route.place = likeliest(state.joint, state.windows, size, tolerance)
     route.share = min(state.windows[route.place] / whole, 1.0)
     route.rival = rival_window(state.windows, size, route.place, tolerance) / whole

@@ -50,8 +50,8 @@ class BeliefState(Table):
     Arrays: ``beliefs`` (sets, N), ``techniques`` (sets, N, S), ``modes`` (sets, N, MODES, R)
     probability of place and way of moving, ``hubs`` and ``variances`` (sets, N, S, R) mean row and
     variance of its places' scores, ``likenesses`` (sets, N, 2, S, S) correlations of techniques and
-    the number of frames behind them; scratch: ``likelihoods`` and ``logs`` (S, R), ``weights`` and
-    ``sums`` (S,), ``prior``, ``joint``, ``windows`` (R,) and ``line`` (REACH + R,).
+    the number of frames behind them; scratch: ``likelihoods`` and ``logs`` (S, R), ``shifts``,
+    ``weights`` and ``sums`` (S,), ``prior``, ``joint``, ``windows`` (R,) and ``line`` (REACH + R,).
     """
 
     batch: Batch
@@ -64,6 +64,7 @@ class BeliefState(Table):
     likenesses: NDArray[np.float64] = array(np.float64, "sets", "routes", "two", "slots", "slots")
     likelihoods: NDArray[np.float64] = array(np.float64, "slots", "references", kept=False)
     logs: NDArray[np.float64] = array(np.float64, "slots", "references", kept=False)
+    shifts: NDArray[np.float64] = array(np.float64, "slots", kept=False)
     weights: NDArray[np.float64] = array(np.float64, "slots", kept=False)
     sums: NDArray[np.float64] = array(np.float64, "slots", kept=False)
     prior: NDArray[np.float64] = array(np.float64, "references", kept=False)
