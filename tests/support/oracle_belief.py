@@ -35,6 +35,8 @@ class Technique:
     variance: Floats  # of each place's news
     rows: int = 0
     news: float = 0.0  # factor on the last row's scores
+    usual: float = 0.0  # variance of its news
+    change: float = 1.0  # deviation of the last row's over the usual one
 
 
 @dataclass
@@ -99,14 +101,21 @@ def likelihood_of(known: Technique, row: Floats) -> Floats | None:
     alike = clamp(math.fsum(z * known.hub) / math.sqrt(squares[0] * squares[1]), 0.0, 1.0)
     step = model.HUB_STEP if known.rows else 1.0
     spread = max(model.VARIANCE_STEP, 1.0 / (known.rows + 2))
-    score = [0.0] * size
+    score, square = [0.0] * size, 0.0
     for c in range(size):
         if row[c] == -math.inf:
             continue
         news = z[c] - alike * known.hub[c]
+        square += news**2 / size
         score[c] = news / math.sqrt(max(known.variance[c], model.LEAST_VARIANCE))
         known.hub[c] = (1.0 - step) * known.hub[c] + step * z[c]
         known.variance[c] = (1.0 - spread) * known.variance[c] + spread * news**2
+    if known.usual > 0.0:
+        known.change = math.sqrt(square / known.usual)
+        step = max(model.USUAL_STEP, 1.0 / (known.rows + 1)) * min(known.change, 1.0)
+        known.usual += step * (min(square, 4.0 * known.usual) - known.usual)
+    elif known.rows:
+        known.usual = square
     known.rows += 1
     mean = math.fsum(score) / size
     deviation = math.sqrt(math.fsum((value - mean) ** 2 for value in score) / size)
@@ -235,6 +244,9 @@ class Belief:
                 if likelihood is not None:
                     useful[t] = likelihood
                 own[t] = own_word(prior * factors[t], row, self.tolerance)
+        stood = self._standing(useful)
+        prior = prior + (stood - 1.0) * self.lines[0.0]
+        self.lines[0.0] = stood * self.lines[0.0]
         weights = self._weigh(useful, prior)
         together = np.zeros(self.size)
         for t, weight in weights.items():
@@ -250,6 +262,16 @@ class Belief:
         total = math.fsum(one.weight * one.log_likelihood for one in own if one is not None)
         steady = float(self.lines["steady"].sum())
         return Frame(place, share, rival, steady, total, len(factors), places, own)
+
+    def _standing(self, useful: dict[int, Floats]) -> float:
+        """How much likelier standing is made by rows of techniques that are lively on the move."""
+        known = [self.known[t] for t in useful]
+        told = [
+            max(model.STAND * (model.STILL - one.change), model.NOT_STANDING)
+            for one in known
+            if one.rows > model.ACQUAINTED and one.usual > model.LIVELY
+        ]
+        return math.exp(min(told, default=0.0))
 
     def _weigh(self, useful: dict[int, Floats], prior: Floats) -> dict[int, float]:
         """How much each technique counts; learns how alike they are."""

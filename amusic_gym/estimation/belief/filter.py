@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from amusic_gym.banks.rows import prepare, scale_at, top_at
 from amusic_gym.estimation.belief.agreement import learn_likenesses, weigh_techniques
-from amusic_gym.estimation.belief.model import MODES, STEADY
+from amusic_gym.estimation.belief.model import (
+    ACQUAINTED,
+    LIVELY,
+    MODES,
+    NOT_STANDING,
+    STAND,
+    STEADY,
+    STILL,
+)
 from amusic_gym.estimation.belief.motion import add_modes, predict
 from amusic_gym.estimation.belief.places import (
     first_highest,
@@ -53,9 +61,8 @@ def read_rows(state: BeliefState, which: int, i: int, frame: int) -> int:
         known, likelihood = state.techniques[which, i, s], state.likelihoods[s]
         if scale_at(runs[s], frame)[0] > 0.0:
             hub, variance = state.hubs[which, i, s], state.variances[which, i, s]
-            known.news = row_likelihood(runs[s], frame, known.rows, hub, variance, likelihood)
+            row_likelihood(known, runs[s], frame, hub, variance, likelihood)
             state.weights[s] = 1.0
-            known.rows += 1.0
         else:
             known.news = 0.0
             for place in range(size):
@@ -107,6 +114,17 @@ def fuse(state: BeliefState, which: int, i: int, size: int, out: NDArray[np.floa
         multiply(state, size, out)
 
 
+@inner
+def standing(state: BeliefState, which: int, i: int) -> float:
+    """How much likelier the news of a frame's rows is if the robot stands; 1 if none can tell."""
+    least = math.inf
+    for s in range(state.weights.size):
+        known = state.techniques[which, i, s]
+        if state.weights[s] > 0.0 and known.rows > ACQUAINTED and known.usual > LIVELY:
+            least = min(least, max(STAND * (STILL - known.change), NOT_STANDING))
+    return math.exp(least) if least < math.inf else 1.0
+
+
 @spliced
 def filter_frame(state: BeliefState, which: int, i: int, frame: int) -> None:
     """Take the frame after the last into a belief: what ran on it, and that it passed.
@@ -121,6 +139,11 @@ def filter_frame(state: BeliefState, which: int, i: int, frame: int) -> None:
     add_modes(modes, MODES, size, state.prior)
     route.rows = read_rows(state, which, i, frame)
     factor = state.windows
+    stood = standing(state, which, i) - 1.0
+    for place in range(size):
+        more = stood * modes[0, place]
+        modes[0, place] += more
+        state.prior[place] += more
     fuse(state, which, i, size, factor)
     for place in range(size):
         joint[place] = state.prior[place] * factor[place]

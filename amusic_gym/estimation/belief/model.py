@@ -48,7 +48,7 @@ STEADY_JUMP = 1.5e-4
 HUB_STEP = 0.15
 """Weight of the newest row in a technique's mean row."""
 
-VARIANCE_STEP = 0.03
+VARIANCE_STEP = 0.02
 """Least weight of the newest row in the variance of a place's scores."""
 
 LEAST_VARIANCE = 0.05
@@ -62,6 +62,27 @@ HIGHEST = 30.0
 
 FLOOR = 0.5
 """Probability that a row is about anything but the place: its likelihood never falls below."""
+
+# Standing, which is seen in rows with less news than usual.
+
+USUAL_STEP = 0.03
+"""Least weight of the newest row in the variance of a technique's news."""
+
+LIVELY = 0.2
+"""Variance of the news, in that of a row, above which a technique's rows tell standing: those of
+others may hardly change on the move."""
+
+ACQUAINTED = 20
+"""Rows after which what is usual is known."""
+
+STILL = 0.45
+"""Deviation of the news, in the usual one, that speaks neither for standing nor against it."""
+
+STAND = 3.0
+"""Log-likelihood of standing per unit below that."""
+
+NOT_STANDING = -0.5
+"""The least of it."""
 
 # Techniques.
 

@@ -21,8 +21,10 @@ from amusic_gym.estimation.belief.model import (
     HUB_STEP,
     LEAST_VARIANCE,
     SLOPE,
+    USUAL_STEP,
     VARIANCE_STEP,
 )
+from amusic_gym.estimation.belief.state import TechniqueBelief
 from amusic_gym.kernels.compiling import apart, inner
 
 
@@ -59,49 +61,59 @@ def share_of_hub(run: Run, frame: int, hub: NDArray[np.float64], out: NDArray[np
     return min(max(product / math.sqrt(square * of_hub), 0.0), 1.0)
 
 
+@inner
+def note_news(known: TechniqueBelief, variance: float) -> None:
+    """Compare the variance of a row's news with what is usual for its technique."""
+    known.change = math.sqrt(variance / known.usual) if known.usual > 0.0 else 1.0
+    if known.usual > 0.0:
+        step = max(USUAL_STEP, 1.0 / (known.rows + 1.0)) * min(known.change, 1.0)
+        known.usual += step * (min(variance, 4.0 * known.usual) - known.usual)
+    elif known.rows > 0.0:
+        known.usual = variance
+
+
 @apart
 def row_likelihood(
+    known: TechniqueBelief,
     run: Run,
     frame: int,
-    rows: float,
     hub: NDArray[np.float64],
     variance: NDArray[np.float64],
     out: NDArray[np.float64],
-) -> float:
+) -> None:
     """Write the likelihood of every place, 1 on average, to ``out``; learn of the row.
 
     A place that is no candidate gets the floor, and nothing is learned of it.
 
     Args:
+        known: of the technique; its ``news`` will be the factor on the row's scores, at most 1.
         run: of the technique; the row is prepared, and not constant.
         frame: of the row.
-        rows: of the technique before this one.
         hub: (R,) mean row.
         variance: (R,) of each place's news.
         out: (R,).
-
-    Returns:
-        Factor on the scores, at most 1, less for a row with less news than usual.
     """
     row = row_at(run, frame)
     size = row.size
-    known = share_of_hub(run, frame, hub, out)
-    step = HUB_STEP if rows > 0.0 else 1.0
-    spread = max(VARIANCE_STEP, 1.0 / (rows + 2.0))
+    alike = share_of_hub(run, frame, hub, out)
+    step = HUB_STEP if known.rows > 0.0 else 1.0
+    spread, square = max(VARIANCE_STEP, 1.0 / (known.rows + 2.0)), 0.0
     for place in range(size):
         candidate = 1.0 if row[place] != -math.inf else 0.0
         z = out[place]
-        news = candidate * (z - known * hub[place])
+        news = candidate * (z - alike * hub[place])
+        square += news * news
         hub[place] += candidate * step * (z - hub[place])
         out[place] = news / math.sqrt(max(variance[place], LEAST_VARIANCE))
         variance[place] += candidate * spread * (news * news - variance[place])
-    mean = total(out, size) / size
-    square = 0.0
+    note_news(known, square / size)
+    known.rows += 1.0
+    mean, square = total(out, size) / size, 0.0
     for place in range(size):
         square += (out[place] - mean) * (out[place] - mean)
     deviation = math.sqrt(square / size)
-    news_share = math.sqrt(min(deviation, 1.0))
-    scale = SLOPE * news_share / max(deviation, 1e-9)
+    known.news = math.sqrt(min(deviation, 1.0))
+    scale = SLOPE * known.news / max(deviation, 1e-9)
     for place in range(size):
         out[place] = math.exp(scale * min(out[place] - mean, HIGHEST * deviation))
     candidates = 0.0
@@ -113,4 +125,3 @@ def row_likelihood(
     factor = (1.0 - FLOOR) * candidates / total(out, size)
     for place in range(size):
         out[place] = factor * out[place] + FLOOR
-    return news_share

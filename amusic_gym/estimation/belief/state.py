@@ -34,6 +34,8 @@ class TechniqueBelief(Record):
 
     rows: float  # number of rows seen
     news: float  # how much of the last one was new, at most 1
+    usual: float  # variance of the news of its rows, in that of a row
+    change: float  # deviation of the last one's over the usual one
     weight: float  # of the last one among those of its frame
     place: int  # likeliest by it alone
     statistic: float  # log-odds of that place's window
