@@ -23,6 +23,8 @@ from amusic_gym.evaluation.rollout import Job, rollout, rollouts
 from amusic_gym.policies.protocol import Context, Selector
 from amusic_gym.policies.trace import Trace
 
+pytestmark = pytest.mark.slow
+
 ARGUMENTS = {
     "raw": ["T1"],
     "single": ["T2"],

@@ -35,6 +35,8 @@ from amusic_gym.policies.protocol import Context
 from amusic_gym.policies.trace import Trace
 from amusic_gym.utils.imports import PACKAGE
 
+pytestmark = pytest.mark.slow
+
 ROW_KEYS = [
     "bank",
     "policy",

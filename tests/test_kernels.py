@@ -178,7 +178,7 @@ def third(x: int) -> float:
     return x / 3
 
 
-@compiling.compiled
+@numba.njit  # not cached: else nothing is compiled the second time
 def constants(x: int) -> float:
     return half(8) + half(x) + third(9) + third(x)
 

@@ -302,6 +302,8 @@ def test_11_a_forked_process_renders_after_its_parent_has_rendered(bank, tmp_pat
 
 QUIET = """
 import gymnasium as gym
+
+pytestmark = pytest.mark.slow
 env = gym.make("amusic_gym:amusic_gym/TechniqueSelection-v0", reselection=5, render_mode="ansi")
 env.reset(seed=0)
 for action in ([1, 0, 0, 0, 0], [0, 0, 0, 0, 1], [1, 1, 1, 1, 0]):

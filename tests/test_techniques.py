@@ -20,6 +20,8 @@ from weight_cases import image
 from amusic_gym import techniques
 from amusic_gym.techniques import Technique, make_technique, register
 
+pytestmark = pytest.mark.slow
+
 FOLDER = Path(__file__).resolve().parent
 SHIPPED = ("hog", "cohog", "calc", "netvlad")
 OWN = "test_techniques:ColourGrid"
