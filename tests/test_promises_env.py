@@ -36,6 +36,7 @@ from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
 ROOT = Path(__file__).resolve().parent.parent
 PATHS = (ROOT, ROOT / "tests/support")
+pytestmark = pytest.mark.slow
 
 
 def python(code: str, *arguments: object, stdin: bytes = b"") -> str:
@@ -302,8 +303,6 @@ def test_11_a_forked_process_renders_after_its_parent_has_rendered(bank, tmp_pat
 
 QUIET = """
 import gymnasium as gym
-
-pytestmark = pytest.mark.slow
 env = gym.make("amusic_gym:amusic_gym/TechniqueSelection-v0", reselection=5, render_mode="ansi")
 env.reset(seed=0)
 for action in ([1, 0, 0, 0, 0], [0, 0, 0, 0, 1], [1, 1, 1, 1, 0]):
