@@ -76,29 +76,6 @@ def add_waiting(sums: Floats, mark: SumsState, run: Run, frame: int) -> None:
     mark.waiting, mark.leaving = 0, 0
 
 
-@inner
-def z_of(run: Run, frame: int, place: int) -> float:
-    """Z-score of a place in a row."""
-    prepare(run, frame)  # as in remove_row
-    off = deviation(row_at(run, frame)[place], mean_at(run, frame)[0])
-    z: float = off * scale_at(run, frame)[0]
-    return z
-
-
-@inner
-def with_waiting(total: float, mark: SumsState, run: Run, frame: int, place: int) -> float:
-    """The sum of a place at ``frame`` with what the rows that wait will change of it."""
-    for k in range(mark.waiting):
-        at = place - (frame - mark.frames[k])
-        if at >= 0:
-            total += z_of(run, mark.frames[k], at)
-    for k in range(mark.leaving):
-        at = place - (frame - mark.left[k])
-        if at >= 0:
-            total -= z_of(run, mark.left[k], at)
-    return total
-
-
 @apart
 def remove_row(sums: Floats, base: int, run: Run, frame: int, age: int, weight: float) -> None:
     """Take a frame's z-scores, ``age`` frames old, out of the sums of their diagonals."""
