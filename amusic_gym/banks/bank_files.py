@@ -112,7 +112,6 @@ def read(path: Path, *, verify: bool) -> tuple[NDArray[np.float32], GroundTruth,
         FileNotFoundError: when the folder or a file in it is missing.
         ValueError: when it is damaged or from a newer format.
     """
-    storage.restore_folder(path)
     for _ in range(_READ_ATTEMPTS):
         with storage.opened_folder(path) as folder:
             try:

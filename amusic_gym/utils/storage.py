@@ -32,6 +32,7 @@ _PREFIX = ".amusic-"
 _UNFINISHED = f"{_PREFIX}*.tmp*"
 _WRITTEN = f"{_PREFIX}written.json"
 _MOST_JSON = 2**28  # bytes
+_OPEN_ATTEMPTS = 20
 _PATIENCE = 2.0
 """Seconds to wait for a lock without a word."""
 
@@ -204,16 +205,26 @@ def sha256(file: BufferedReader) -> str:
 def opened_folder(path: Path) -> Iterator[int]:
     """Descriptor of a folder, by which its files are found even if another takes its name.
 
+    One that `replacing_folder` exchanges at this moment, or whose writer died in the middle, is
+    found, too.
+
     Raises:
         FileNotFoundError: when there is no such folder.
         ValueError: when it is a file.
     """
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{path} does not exist; check the name") from None
-    except NotADirectoryError:
-        raise ValueError(f"{path} is a file; give a folder") from None
+    flags = os.O_RDONLY | os.O_DIRECTORY
+    for last in (*[False] * _OPEN_ATTEMPTS, True):
+        try:
+            descriptor = os.open(path, flags)
+            break
+        except FileNotFoundError:
+            if last:
+                raise FileNotFoundError(f"{path} does not exist; check the name") from None
+        except NotADirectoryError:
+            raise ValueError(f"{path} is a file; give a folder") from None
+        if _asides(path):
+            with locked(path.parent):  # once it is free, nobody is between two renames
+                _restore_folder(path)
     try:
         yield descriptor
     finally:
@@ -274,17 +285,6 @@ def replacing_folder(path: Path, marker: str, contents: frozenset[str]) -> Itera
                 _exchange(folder, path)
             with contextlib.suppress(OSError):  # the new folder stands; not all systems sync names
                 _fsync(path.parent)
-
-
-def restore_folder(path: Path) -> None:
-    """Put the old folder back if a writer died while it exchanged ``path`` by two renames.
-
-    Needed only where the system cannot swap two folders in one step.
-    """
-    if not path.exists():
-        for aside in path.parent.glob(f"{_aside_stem(path)}*.old"):
-            with contextlib.suppress(OSError):
-                os.rename(aside, path)
 
 
 def refuse_to_replace_others(path: Path, marker: str, contents: frozenset[str]) -> None:
@@ -480,11 +480,23 @@ def _remove(path: Path) -> None:
 
 def _sweep_exchange(path: Path) -> None:
     """Mend the half exchange of ``path`` that a dead writer left."""
-    restore_folder(path)
-    stale = list(path.parent.glob(f"{_aside_stem(path)}*.old"))
+    _restore_folder(path)
+    stale = _asides(path)
     if path.exists():  # looked at after the list was made, so each of these has been replaced
         for aside in stale:
             shutil.rmtree(aside, ignore_errors=True)
+
+
+def _restore_folder(path: Path) -> None:
+    """Put the old folder back if a writer died while it exchanged ``path`` by two renames.
+
+    Needed only where the system cannot swap two folders in one step; the lock of the folder that
+    holds both must be held.
+    """
+    if not path.exists():
+        for aside in _asides(path):
+            with contextlib.suppress(OSError):
+                os.rename(aside, path)
 
 
 def _exchange(folder: Path, path: Path) -> None:
@@ -497,7 +509,7 @@ def _exchange(folder: Path, path: Path) -> None:
             raise
     if _swap(folder, path):
         return
-    # A writer killed between the two renames leaves the old folder aside: see `restore_folder`.
+    # A writer killed between the two renames leaves the old folder aside: see `_restore_folder`.
     aside = path.parent / f"{_aside_stem(path)}{secrets.token_hex(8)}.old"
     os.rename(path, aside)
     try:
@@ -524,6 +536,11 @@ def _swap(first: Path, second: Path) -> bool:
     if failed and number not in _SWAP_UNSUPPORTED:
         raise OSError(number, os.strerror(number), os.fspath(second))
     return not failed
+
+
+def _asides(path: Path) -> list[Path]:
+    """Old folders of ``path`` that a writer has put aside, or died over."""
+    return list(path.parent.glob(f"{_aside_stem(path)}*.old"))
 
 
 def _aside_stem(path: Path) -> str:
