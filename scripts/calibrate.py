@@ -35,7 +35,7 @@ from amusic_gym.utils.storage import write_whole
 
 RATES = (0.05, 0.1, 0.3, 0.6, 1.0)  # shares of the techniques that run on a frame
 SIC_INPUTS = ("confidence", "discount", "track", "recent", "heard", "support", "margin")
-BELIEF_INPUTS = ("confidence", "margin", "said", "said_mean")
+BELIEF_INPUTS = ("confidence", "margin", "log_likelihood", "log_likelihood_mean")
 
 LEAVES = 0.12
 """Share of SIC's routes that leave the map.

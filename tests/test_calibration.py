@@ -214,7 +214,8 @@ def test_samples_are_those_of_single_routes_before_calibration(script, statistic
             if statistic == "belief":
                 belief = env.task.episodes.estimator.state.beliefs[0, 0]
                 share = log_odds(belief["share"])
-                sample = [share, info["margin"], known["said"], known["said_mean"]]
+                sample = [share, info["margin"], known["log_likelihood"]]
+                sample += [known["log_likelihood_mean"]]
             samples.append(sample)
             right.append((frame, len(expected), abs(info["prediction"] - frame) <= 2))
         expected.append(samples)

@@ -168,8 +168,6 @@ class Observer:
             squash(slot["support"]),
             squash(slot["support_mean"]),
             squash(slot["stored"]),
-            slot["trust"],
-            slot["sharpness"],
             slot["weight"],
             squash(frame - slot["last"]) if slot["last"] >= 0 else 1.0,
             float(info["technique"] == t),
@@ -198,10 +196,9 @@ class Observer:
             squash(route["compute"]),
             squash(route["compute_mean"]),
             route["agreeing"],
-            route["steady"],
-            squash(route["said"]),
-            squash(route["said_mean"]),
-            squash(route["strange"]),
+            route["p_steady"],
+            squash(route["log_likelihood"]),
+            squash(route["log_likelihood_mean"]),
             math.log10(self.bank.references) / 3 - 1,
             squash(self.logit(info)),
             squash(route["since_confirmed"]),
@@ -240,18 +237,18 @@ class BeliefObserver(Observer):
         """Remember what a technique's row made of the belief."""
         known = self.episodes.estimator.state.techniques[0, 0, t]
         self.slots[t].update({key: known[key] for key in ("statistic", "margin", "correction")})
-        self.slots[t].update(weight=known["weight"] * known["news"], said=known["log_likelihood"])
-        self.slots[t].update(place=known["place"], last=frame)
+        self.slots[t].update(weight=known["weight"] * known["news"], place=known["place"])
+        self.slots[t].update(log_likelihood=known["log_likelihood"], last=frame)
 
     def note(self, frame: int, info: dict) -> None:
         """Take in what a step's infos say."""
         super().note(frame, info)
         if info["prediction"] >= 0:
             summary, known = self.episodes.estimator.state.beliefs[0, 0], self.route
-            said = summary["log_likelihood"]
-            known.update(steady=summary["p_steady"], said=said)
+            known.update({key: float(summary[key]) for key in ("p_steady", "log_likelihood")})
             if not info["idle"]:
-                known["said_mean"] += SMOOTHING * (said / info["ran"].sum() - known["said_mean"])
+                mean = known["log_likelihood"] / info["ran"].sum()
+                known["log_likelihood_mean"] += SMOOTHING * (mean - known["log_likelihood_mean"])
         for key in ("place", "statistic", "correction"):
             for t in np.flatnonzero(info["ran"]):
                 assert info[key][t] == self.slots[t][key]
@@ -262,7 +259,7 @@ class BeliefObserver(Observer):
 
     def stored(self, t: int, place: int) -> float:
         """What a technique's last row said for the place that was the fused one then."""
-        return self.slots[t]["said"]
+        return self.slots[t]["log_likelihood"]
 
 
 @pytest.mark.parametrize("statistic", STATISTICS)
@@ -299,8 +296,8 @@ def test_the_belief_has_entries_of_its_own(bank):
     for name in (
         "T0.weight",
         "T0.stored",
-        "route.steady",
-        "route.said",
+        "route.p_steady",
+        "route.log_likelihood",
     ):
         assert len(set(columns[name])) > 10, name
     repeated = columns["T0.weight"][22:26]

@@ -59,7 +59,7 @@ from amusic_gym.evaluation.rollout import rollout
 pytestmark = pytest.mark.slow
 
 STATISTIC = SICSettings.statistic
-TRUST = TECHNIQUE_FEATURES.index("trust")
+CONFIRMS = TECHNIQUE_FEATURES.index("confirms")
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -370,7 +370,7 @@ def made_up(rng: np.random.Generator, states: int = 1000) -> tuple[Samples, np.n
     groups = rng.uniform(-1, 1, (states, 3, WIDTH)).astype(np.float32)
     groups[..., PRESENT] = 1.0
     good = rng.integers(3, size=states)
-    groups[..., TRUST] = np.where(np.arange(3) == good[:, None], 1.0, -1.0)
+    groups[..., CONFIRMS] = np.where(np.arange(3) == good[:, None], 1.0, -1.0)
     route = rng.uniform(-1, 1, (states, ROUTE_WIDTH)).astype(np.float32)
     observations = np.concatenate([groups.reshape(states, -1), route], axis=1)
     numbers = np.stack([1 + rng.permutation(7)[:6] for _ in range(states)])

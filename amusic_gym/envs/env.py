@@ -69,8 +69,6 @@ class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.i
     | support | squash of the z-score that its last row gives to the fused prediction |
     | support_mean | squash of the running mean of support |
     | stored | squash of the statistic that the fused diagonal had at its last run * |
-    | trust | 0: of an earlier `belief` |
-    | sharpness | 0: of an earlier `belief` |
     | weight | of its rows: 1, or less where they repeat the ones before; 0 before its first run * |
     | age | squash of the frames since its last run; 1 before the first |
     | chosen | 1 if MuSIC trusts it on this frame |
@@ -96,10 +94,9 @@ class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.i
     | compute | squash of this step's seconds / Σ seconds |
     | compute_mean | squash of its running mean |
     | agreeing | share of the techniques whose diagonal is the fused one |
-    | steady | probability of steady motion, one place per frame, by `belief` |
-    | said | squash of the log-likelihood that this frame's rows gave the prediction, by `belief` |
-    | said_mean | squash of the running mean of what each row gave it |
-    | strange | 0: of an earlier `belief` |
+    | p_steady | probability of steady motion, one place per frame, by `belief` |
+    | log_likelihood | squash of that of the prediction by this frame's rows, by `belief` |
+    | log_likelihood_mean | squash of the running mean of what each row gave it |
     | size | places of the map on a logarithmic scale, 1 → −1, 1000 → 0, a million → 1, clipped |
     | logit | squash of log(p̂ / (1 − p̂)), which lies between −30 and 30 |
     | since_confirmed | squash of the frames since a technique that ran confirmed the prediction |
@@ -120,7 +117,7 @@ class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.i
     and the *margin* over the rival the log ratio of the belief around the fused place and around
     the best one that shares no place with it. A technique's *weight* is that of its last row: less
     where it says little that is new, and where others that ran on the frame err alike. With the
-    other statistics, `steady`, `said` and `said_mean` are 0.
+    other statistics, `p_steady`, `log_likelihood` and its mean are 0.
 
     ## Rewards
     p̂ − λ · (seconds run in this step / Σ seconds), from declared seconds; the terms are in

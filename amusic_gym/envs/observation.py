@@ -16,7 +16,7 @@ from amusic_gym.estimation.batch import RouteState, SlotState
 from amusic_gym.estimation.settings import COMPUTE_WEIGHT_RANGE
 from amusic_gym.kernels.compiling import inner
 
-VERSION = 4
+VERSION = 5
 """Rises whenever the meaning or the order of an entry changes; trained runs store it."""
 
 TECHNIQUE_FEATURES = (
@@ -30,8 +30,6 @@ TECHNIQUE_FEATURES = (
     "support",
     "support_mean",
     "stored",
-    "trust",
-    "sharpness",
     "weight",
     "age",
     "chosen",
@@ -56,10 +54,9 @@ ROUTE_FEATURES = (
     "compute",
     "compute_mean",
     "agreeing",
-    "steady",
-    "said",
-    "said_mean",
-    "strange",
+    "p_steady",
+    "log_likelihood",
+    "log_likelihood_mean",
     "size",
     "logit",
     "since_confirmed",
@@ -104,18 +101,16 @@ def observe_technique(slot: SlotState, route: RouteState, out: NDArray[np.float3
     out[7] = squash(slot.support)
     out[8] = squash(slot.support_mean)
     out[9] = squash(slot.stored)
-    out[10] = slot.trust
-    out[11] = slot.sharpness
-    out[12] = slot.weight
-    out[13] = squash(route.frame - slot.last_run) if slot.last_run >= 0 else 1.0
-    out[14] = slot.chosen
-    out[15] = slot.cost_share
-    out[16] = slot.cost_log
-    out[17] = slot.price
-    out[18] = slot.confirms
-    out[19] = slot.confirmation
-    out[20] = squash(slot.support_usual)
-    out[21] = squash(slot.statistic - slot.stored)
+    out[10] = slot.weight
+    out[11] = squash(route.frame - slot.last_run) if slot.last_run >= 0 else 1.0
+    out[12] = slot.chosen
+    out[13] = slot.cost_share
+    out[14] = slot.cost_log
+    out[15] = slot.price
+    out[16] = slot.confirms
+    out[17] = slot.confirmation
+    out[18] = squash(slot.support_usual)
+    out[19] = squash(slot.statistic - slot.stored)
 
 
 @inner
@@ -133,15 +128,14 @@ def observe_route(route: RouteState, out: NDArray[np.float32]) -> None:
     out[9] = squash(route.compute)
     out[10] = squash(route.compute_mean)
     out[11] = route.agreeing
-    out[12] = route.steady
-    out[13] = squash(route.said)
-    out[14] = squash(route.said_mean)
-    out[15] = squash(route.strange)
-    out[16] = route.size_log
-    out[17] = squash(route.logit)
-    out[18] = squash(route.since_confirmed)
-    out[19] = squash(route.track)
-    out[20] = route.support
+    out[12] = route.p_steady
+    out[13] = squash(route.log_likelihood)
+    out[14] = squash(route.log_likelihood_mean)
+    out[15] = route.size_log
+    out[16] = squash(route.logit)
+    out[17] = squash(route.since_confirmed)
+    out[18] = squash(route.track)
+    out[19] = route.support
 
 
 @inner

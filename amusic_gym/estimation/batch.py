@@ -56,10 +56,9 @@ class RouteState(Record):
     heard: float  # how much another technique than the chosen one has a say
     support: float  # ... and says the same
     # Belief.
-    steady: float  # belief in steady motion
-    said: float  # log-likelihood that the frame's rows gave the prediction
-    said_mean: float  # running mean of its mean over the rows
-    strange: float  # how much more than usual the rows changed, as a ratio
+    p_steady: float  # probability of steady motion
+    log_likelihood: float  # of the prediction, by the frame's rows together
+    log_likelihood_mean: float  # running mean of its mean over the rows
 
 
 class SlotState(Record):
@@ -99,9 +98,6 @@ class SlotState(Record):
     rival: float  # statistic of the technique's own best rival, -inf: none
     likeness: float  # correlation of its row with the chosen one's on the same frame
     lagged: int  # frames before this one are in the lagged sums
-    # Belief.
-    trust: float  # probability that a row is informative
-    sharpness: float  # how sharp they are on average, of at most 1
 
 
 class Batch(Table):

@@ -81,11 +81,14 @@ def recent_design(recent: ArrayLike) -> NDArray[np.float64]:
 
 
 def belief_design(
-    log_odds: ArrayLike, log_ratio: ArrayLike, said: ArrayLike, said_mean: ArrayLike
+    log_odds: ArrayLike,
+    log_ratio: ArrayLike,
+    log_likelihood: ArrayLike,
+    log_likelihood_mean: ArrayLike,
 ) -> NDArray[np.float64]:
     """Inputs (n, 5) of the belief's logit; all are logarithms already."""
-    columns = [np.asarray(given, np.float64) for given in (log_odds, log_ratio, said, said_mean)]
-    return np.stack([np.ones_like(columns[0]), *columns], axis=-1)
+    columns = log_odds, log_ratio, log_likelihood, log_likelihood_mean
+    return np.stack([np.ones(np.shape(log_odds)), *columns], axis=-1)
 
 
 def logistic(logit: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -262,16 +262,16 @@ def estimate(state: BeliefState, i: int) -> None:
         return
     set_prediction(route, belief.place)
     route.margin = log_ratio(belief.share, belief.rival)
-    route.said = belief.log_likelihood
+    route.log_likelihood = belief.log_likelihood
     if belief.rows > 0:
         mean = belief.log_likelihood / belief.rows
-        route.said_mean += SMOOTHING * (mean - route.said_mean)
+        route.log_likelihood_mean += SMOOTHING * (mean - route.log_likelihood_mean)
     logit = b[0] + b[1] * log_odds(belief.share) + b[2] * route.margin
-    logit += b[3] * route.said + b[4] * route.said_mean
+    logit += b[3] * route.log_likelihood + b[4] * route.log_likelihood_mean
     route.confidence = min(max(logit, -30.0), 30.0)
     route.logit = route.confidence
     route.p_correct = sigmoid(logit)
-    route.steady = belief.p_steady
+    route.p_steady = belief.p_steady
     if not route.idle:
         choose_technique(batch, i)
 
