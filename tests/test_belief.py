@@ -324,7 +324,7 @@ def test_hubs_that_attract_every_query_are_learned():
 
 @pytest.mark.parametrize("copies", [2, 3])
 @pytest.mark.parametrize("motion", ["recorded", "kidnapped"])
-def test_a_copy_of_a_technique_changes_nothing(copies, motion):
+def test_54_a_copy_of_a_technique_changes_nothing(copies, motion):
     bank = simulate(4, queries=120, references=150, techniques=3, motion=motion)
     names = [f"{name}{copy}" for copy in range(copies) for name in bank.techniques]
     several = ScoreBank(

@@ -330,7 +330,7 @@ def test_a_copy_goes_on_alike(arguments, seed, at, twin_of):
 
 @settings(max_examples=60, deadline=None)
 @given(ours, st.integers(0, 2**32 - 1), st.integers(2, 3), st.booleans())
-def test_copies_of_techniques_change_neither_places_nor_p(arguments, seed, copies, constant):
+def test_54_copies_of_techniques_change_neither_places_nor_p(arguments, seed, copies, constant):
     """Of p̂ it is true where no row is constant: such a row is not like its copy."""
     rng = np.random.default_rng(seed)
     references = int(rng.integers(1 if constant else 2, 30))

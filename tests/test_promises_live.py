@@ -47,7 +47,7 @@ def spoilt(where: int, spoil) -> TechniqueSelectionEnv:
     return TechniqueSelectionEnv(live_of(maps, images))
 
 
-def test_1_same_actions_same_trajectory_single_and_vector():
+def test_01_same_actions_same_trajectory_single_and_vector():
     live = live_of(maps_of(9), traverse(20, 2))
     actions = random_actions(1, 20, (4,))
     single = TechniqueSelectionEnv(live, reselection=3)
@@ -82,7 +82,7 @@ def test_11_a_forked_worker_matches_on_threads_of_its_own():
 
 
 @pytest.mark.parametrize("way", ["deepcopy", "pickle", "another process"])
-def test_2_a_copy_of_an_environment_on_a_folder_continues_identically(way, tmp_path):
+def test_02_a_copy_of_an_environment_on_a_folder_continues_identically(way, tmp_path):
     live = live_of(maps_of(9), folder_of(tmp_path / "query", 24))
     env = TechniqueSelectionEnv(live, reselection=4, history=5)
     actions = random_actions(2, 24, (4,), reselect=0.2)
@@ -104,7 +104,7 @@ def test_2_a_copy_of_an_environment_on_a_folder_continues_identically(way, tmp_p
     assert_same([twin.step(action) for action in actions[12:]], wanted)
 
 
-def test_5_overwriting_what_is_returned_changes_nothing():
+def test_05_overwriting_what_is_returned_changes_nothing():
     live = live_of(maps_of(9), traverse(20, 2))
     env, twin = (TechniqueSelectionEnv(live, reselection=3) for _ in range(2))
     env.reset(seed=0)

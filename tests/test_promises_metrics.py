@@ -27,7 +27,7 @@ def trace_on(ground_truth: list[int], predictions: list[int]) -> Trace:
     )
 
 
-def test_promise_21_a_query_without_a_true_place_counts_wrong_and_is_no_positive() -> None:
+def test_21_a_query_without_a_true_place_counts_wrong_and_is_no_positive() -> None:
     row = metrics.summarise(trace_on([0, -1, 2, -1], [0, 0, 2, 3]))
     assert row["accuracy"] == 0.5
     # Both positives are found, at precision 1 and then 2/3: recall reaches 1, over two positives.
@@ -35,12 +35,12 @@ def test_promise_21_a_query_without_a_true_place_counts_wrong_and_is_no_positive
     assert row["median_error"] == 0.0
 
 
-def test_promise_21_nor_does_it_ever_match_no_prediction() -> None:
+def test_21_nor_does_it_ever_match_no_prediction() -> None:
     trace = trace_on([0, -1], [0, -1])
     np.testing.assert_array_equal(trace.correct, [True, False])
 
 
-def test_promise_21_no_query_with_a_true_place_at_all() -> None:
+def test_21_no_query_with_a_true_place_at_all() -> None:
     with pytest.warns(UserWarning, match="no correct match"):
         row = metrics.summarise(trace_on([-1, -1], [0, 1]))
     assert (row["accuracy"], row["auc"], row["auc_vprbench"], row["auc_paper"]) == (0.0,) * 4
@@ -48,13 +48,13 @@ def test_promise_21_no_query_with_a_true_place_at_all() -> None:
 
 
 @pytest.mark.parametrize("measure", [metrics.auc, metrics.auc_vprbench, metrics.auc_paper])
-def test_promise_22_no_correct_match_is_auc_0_with_a_warning(measure: object) -> None:
+def test_22_no_correct_match_is_auc_0_with_a_warning(measure: object) -> None:
     assert callable(measure)
     with pytest.warns(UserWarning, match="single:HOG has no correct match on bank 'street'"):
         assert measure(trace_on([0, 1, 2], [3, 3, 3])) == 0.0
 
 
-def test_promise_22_a_summary_warns_once() -> None:
+def test_22_a_summary_warns_once() -> None:
     with pytest.warns(UserWarning, match="its AUC is 0") as caught:
         row = metrics.summarise(trace_on([0, 1, 2], [3, 3, -1]))
     assert len(caught) == 1
