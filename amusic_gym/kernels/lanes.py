@@ -14,16 +14,22 @@ Private parts of Numba: `cgutils.get_or_insert_function`, to call a function of 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NewType
 
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.core import cgutils
+from numba.core.datamodel.manager import DataModelManager
 from numba.extending import intrinsic, models, register_model
+
+from amusic_gym.kernels.codegen import Builder, Context, Signature, Typing, Values
 
 LANES = 8
 """Numbers per value."""
+
+Lanes = NewType("Lanes", object)
+"""Such a value, in annotations of compiled functions."""
 
 _FLOATS: Any = ir.VectorType(ir.FloatType(), LANES)
 _INDEX: Any = ir.IntType(32)
@@ -46,15 +52,17 @@ _lanes = _Lanes()
 class _LanesModel(models.PrimitiveModel):
     """The type in memory: LLVM's vector."""
 
-    def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, _FLOATS)  # type: ignore[no-untyped-call]
+    def __init__(self, manager: DataModelManager, kind: types.Type) -> None:
+        super().__init__(manager, kind, _FLOATS)
 
 
 def _of_lanes(build: Callable[..., Any]) -> Any:
     """A function of lanes that gives lanes; ``build(builder, *values)`` emits its code."""
 
-    def typed(typing_context: Any, *values: Any) -> Any:
-        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def typed(typing_context: Typing, *values: types.Type) -> Any:
+        def codegen(
+            context: Context, builder: Builder, signature: Signature, arguments: Values
+        ) -> Any:
             return build(builder, *arguments)
 
         return _lanes(*values), codegen
@@ -63,39 +71,41 @@ def _of_lanes(build: Callable[..., Any]) -> Any:
     return _intrinsic(typed)
 
 
-def _at(context: Any, builder: Any, array_type: Any, array: Any, position: Any) -> Any:
+def _at(
+    context: Context, builder: Builder, kind: types.Type, array: ir.Value, position: ir.Value
+) -> Any:
     """Address of a number in an array."""
-    data = context.make_array(array_type)(context, builder, array).data
+    data = context.make_array(kind)(context, builder, array).data
     return builder.gep(data, [position], inbounds=True)
 
 
-def _as_floats(builder: Any, pointer: Any) -> Any:
+def _as_floats(builder: Builder, pointer: ir.Value) -> Any:
     return builder.bitcast(pointer, _FLOATS.as_pointer())
 
 
-def _shuffled(builder: Any, value: Any, order: list[int]) -> Any:
+def _shuffled(builder: Builder, value: ir.Value, order: list[int]) -> Any:
     indices = ir.Constant(ir.VectorType(_INDEX, LANES), order)
     return builder.shuffle_vector(value, _UNDEFINED, indices)
 
 
-def _call(builder: Any, name: str, arguments: tuple[Any, ...], **options: Any) -> Any:
+def _call(builder: Builder, name: str, arguments: Sequence[ir.Value], **options: object) -> Any:
     """Call a function of LLVM's that takes values of eight lanes and gives one."""
     kind = ir.FunctionType(_FLOATS, [_FLOATS] * len(arguments))
     function = _insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f32")
     return builder.call(function, arguments, **options)
 
 
-def _maximum(builder: Any, left: Any, right: Any) -> Any:
+def _maximum(builder: Builder, left: ir.Value, right: ir.Value) -> Any:
     # Without NaN it is one instruction. A comparison and a choice would be one too, but next to a
     # store LLVM makes a masked store of them, which some processors run very slowly.
     return _call(builder, "maxnum", (left, right), fastmath=("nnan", "nsz"))
 
 
 @_intrinsic  # type: ignore[untyped-decorator]
-def load(typing_context: Any, array: Any, position: Any) -> Any:
+def load(typing_context: Typing, array: types.Type, position: types.Type) -> Any:
     """``load(array, position)``: the numbers from ``position`` on."""
 
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def codegen(context: Context, builder: Builder, signature: Signature, arguments: Values) -> Any:
         pointer = _at(context, builder, signature.args[0], *arguments)
         return builder.load(_as_floats(builder, pointer), align=4)
 
@@ -103,10 +113,12 @@ def load(typing_context: Any, array: Any, position: Any) -> Any:
 
 
 @_intrinsic  # type: ignore[untyped-decorator]
-def store(typing_context: Any, array: Any, position: Any, value: Any) -> Any:
+def store(
+    typing_context: Typing, array: types.Type, position: types.Type, value: types.Type
+) -> Any:
     """``store(array, position, value)``: put them there."""
 
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def codegen(context: Context, builder: Builder, signature: Signature, arguments: Values) -> Any:
         pointer = _at(context, builder, signature.args[0], *arguments[:2])
         builder.store(arguments[2], _as_floats(builder, pointer), align=4)
         return context.get_dummy_value()
@@ -115,10 +127,10 @@ def store(typing_context: Any, array: Any, position: Any, value: Any) -> Any:
 
 
 @_intrinsic  # type: ignore[untyped-decorator]
-def spread(typing_context: Any, array: Any, position: Any) -> Any:
+def spread(typing_context: Typing, array: types.Type, position: types.Type) -> Any:
     """``spread(array, position)``: the number at ``position``, in all lanes."""
 
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def codegen(context: Context, builder: Builder, signature: Signature, arguments: Values) -> Any:
         number = builder.load(_at(context, builder, signature.args[0], *arguments))
         first = builder.insert_element(_UNDEFINED, number, ir.Constant(_INDEX, 0))
         return _shuffled(builder, first, [0] * LANES)
@@ -127,10 +139,10 @@ def spread(typing_context: Any, array: Any, position: Any) -> Any:
 
 
 @_intrinsic  # type: ignore[untyped-decorator]
-def largest(typing_context: Any, value: Any) -> Any:
+def largest(typing_context: Typing, value: types.Type) -> Any:
     """``largest(value)``: the largest of the lanes, a float32; no NaN."""
 
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def codegen(context: Context, builder: Builder, signature: Signature, arguments: Values) -> Any:
         (found,) = arguments
         distance = LANES // 2
         while distance:

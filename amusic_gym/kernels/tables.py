@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self, get_type_hints
 
 import numpy as np
+from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.core.typing import templates
 from numba.extending import (
@@ -24,6 +25,8 @@ from numba.extending import (
 )
 from numba.np import numpy_support
 from numpy.typing import NDArray
+
+from amusic_gym.kernels.codegen import Builder, Context, Signature, Typing, Values
 
 _cgutils: Any = importlib.import_module("numba.core.cgutils")  # these have no types
 _arrays: Any = importlib.import_module("numba.np.arrayobj")
@@ -200,7 +203,7 @@ class _LayoutAttribute(templates.AttributeTemplate):
         return layout.kinds.get(attribute)
 
 
-def _read(context: Any, builder: Any, layout: Layout, table: Any, field: str) -> Any:
+def _read(context: Context, builder: Builder, layout: Layout, table: ir.Value, field: str) -> Any:
     kind, word = layout.kinds[field], _cgutils.intp_t
     place = _cgutils.pointer_add(builder, table, layout.offsets[field] * WORD)
     if isinstance(kind, Layout):
@@ -231,7 +234,12 @@ _lower(Layout)(_read)
 
 
 def array_at(
-    context: Any, builder: Any, kind: Any, address: Any, shape: list[Any], strides: list[Any]
+    context: Context,
+    builder: Builder,
+    kind: types.Array,
+    address: ir.Value,
+    shape: Values,
+    strides: Values,
 ) -> Any:
     """Numba's array over memory that others own."""
     array = _arrays.make_array(kind)(context, builder)
@@ -247,7 +255,7 @@ def array_at(
     return array._getvalue()
 
 
-def _view(typing_context: Any, address: Any, size: Any, dtype: Any) -> Any:
+def _view(typing_context: Typing, address: types.Type, size: types.Type, dtype: types.DType) -> Any:
     """Array (size,) of a dtype over memory that others own. The first parameter is Numba's.
 
     Routes of one batch lie in different banks of different size; a table of addresses lets one
@@ -255,7 +263,7 @@ def _view(typing_context: Any, address: Any, size: Any, dtype: Any) -> Any:
     """
     kind = types.Array(dtype.dtype, 1, "C")
 
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def codegen(context: Context, builder: Builder, signature: Signature, arguments: Values) -> Any:
         item = context.get_abi_sizeof(context.get_data_type(kind.dtype))
         strides = [context.get_constant(types.intp, item)]
         return array_at(context, builder, kind, arguments[0], [arguments[1]], strides)
@@ -266,14 +274,14 @@ def _view(typing_context: Any, address: Any, size: Any, dtype: Any) -> Any:
 view: Any = intrinsic(_view)
 
 
-def _part(typing_context: Any, values: Any, start: Any, size: Any) -> Any:
+def _part(typing_context: Typing, values: types.Array, start: types.Type, size: types.Type) -> Any:
     """Array (size,) that begins at an index of a longer one. The first parameter is Numba's.
 
     What a slice is, unchecked: it compiles sooner, and a loop over it from 0 runs in SIMD. One from
     another index does not, because an index might be negative.
     """
 
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def codegen(context: Context, builder: Builder, signature: Signature, arguments: Values) -> Any:
         array = context.make_array(values)(context, builder, arguments[0])
         place = builder.gep(array.data, [arguments[1]])
         address = builder.ptrtoint(place, _cgutils.intp_t)
@@ -290,8 +298,10 @@ def reader(table: type[Table]) -> Any:
     """Compiled function that takes the address of a table's words and gives the table."""
     layout = table.layout
 
-    def at(typing_context: Any, address: Any) -> Any:
-        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def at(typing_context: Typing, address: types.Type) -> Any:
+        def codegen(
+            context: Context, builder: Builder, signature: Signature, arguments: Values
+        ) -> Any:
             return builder.inttoptr(arguments[0], context.get_value_type(layout))
 
         return layout(types.int64), codegen

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from numpy.typing import NDArray
 
 from amusic_gym.kernels.compiling import without_gil
 
@@ -13,7 +12,7 @@ RADIUS = 5
 
 
 @without_gil
-def local_entropy(grey: Any, entropy: Any) -> None:
+def local_entropy(grey: NDArray[np.uint8], entropy: NDArray[np.float64]) -> None:
     """Entropy in bits of the grey values within ``RADIUS`` of each pixel and inside the image.
 
     Args:
@@ -48,7 +47,9 @@ def local_entropy(grey: Any, entropy: Any) -> None:
 
 
 @without_gil
-def add_directions(strength: Any, turn: Any, cells: Any) -> None:
+def add_directions(
+    strength: NDArray[np.float32], turn: NDArray[np.float32], cells: NDArray[np.float64]
+) -> None:
     """Share each pixel's strength between the two bins that are next to its direction.
 
     Args:

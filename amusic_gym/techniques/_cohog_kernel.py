@@ -13,13 +13,13 @@ visit all pairs of rows of regions.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from numpy.typing import NDArray
 
 from amusic_gym.kernels.compiling import inner, without_gil
 from amusic_gym.kernels.lanes import (
     LANES,
+    Lanes,
     add,
     greater,
     largest,
@@ -40,12 +40,15 @@ BINS = 8
 ROW = (BINS + 1) * SIDE
 """Numbers per row of cells in a descriptor: its bins, then a number per region."""
 
+Floats = NDArray[np.float32]
+Integers = NDArray[np.int64]
+
 _NUMBER = BINS * SIDE  # where a row's numbers per region begin
 _REGIONS = SIDE - 1  # per row, and rows of them
 
 
 @inner
-def _list_runs(query: Any, runs: Any) -> None:
+def _list_runs(query: Floats, runs: Integers) -> None:
     """List the pairs that the query's regions of interest need, row of cells by row of cells.
 
     Args:
@@ -67,7 +70,9 @@ def _list_runs(query: Any, runs: Any) -> None:
 
 
 @inner
-def _multiply_rows(query: Any, q: int, reference: Any, r: int, runs: Any, products: Any) -> None:
+def _multiply_rows(
+    query: Floats, q: int, reference: Floats, r: int, runs: Integers, products: Floats
+) -> None:
     """Dot products of a row of the query's cells with a row of the reference's.
 
     Two cells of the query at once: 2 · 4 sums of eight lanes stay in registers.
@@ -111,17 +116,24 @@ def _multiply_rows(query: Any, q: int, reference: Any, r: int, runs: Any, produc
 
 
 @inner
-def _similarity(products: Any, pairs: Any, at: int, inverse_length: Any) -> Any:
+def _similarity(products: Floats, pairs: Floats, at: int, inverse_length: Lanes) -> Lanes:
     """Similarity of eight regions whose lower pairs start at ``at``; keeps these pairs."""
     pair = add(load(products, at), load(products, at + SIDE + 1))  # the cell, the next of both
     region = add(load(pairs, at), pair)
     store(pairs, at, pair)
-    return multiply(region, inverse_length)
+    similarity: Lanes = multiply(region, inverse_length)
+    return similarity
 
 
 @inner
 def _fold_rows(
-    products: Any, runs: Any, pairs: Any, reference: Any, lengths: int, best: Any, first: int
+    products: Floats,
+    runs: Integers,
+    pairs: Floats,
+    reference: Floats,
+    lengths: int,
+    best: Floats,
+    first: int,
 ) -> None:
     """Add products up to regions, and keep the greatest similarity of each region of the query.
 
@@ -154,7 +166,7 @@ def _fold_rows(
 
 
 @inner
-def _weighted_sum(query: Any, best: Any) -> float:
+def _weighted_sum(query: Floats, best: Floats) -> float:
     total = 0.0
     for y in range(_REGIONS):
         for x in range(_REGIONS):
@@ -165,7 +177,7 @@ def _weighted_sum(query: Any, best: Any) -> float:
 
 
 @without_gil
-def match_regions(query: Any, references: Any, scores: Any) -> None:
+def match_regions(query: Floats, references: Floats, scores: Floats) -> None:
     """Scores of one query against B references, each by itself, without Python's lock.
 
     Args:

@@ -138,7 +138,7 @@ def regions_of_interest(grey: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """(31, 31) whether the mean entropy over a region's pixels is at least 40 % of 8 bits."""
     small = cv2.resize(grey, (ENTROPY_SIZE, ENTROPY_SIZE), interpolation=cv2.INTER_LINEAR)
     entropy = np.empty(small.shape)
-    local_entropy(small, entropy)
+    local_entropy(small.astype(np.uint8, copy=False), entropy)
     large = cv2.resize(entropy, (SIZE, SIZE), interpolation=cv2.INTER_LINEAR)
     per_cell = large.reshape(SIDE, CELL, SIDE, CELL).mean(axis=(1, 3))
     interesting: NDArray[np.bool_] = _over_regions(per_cell) / 4 / 8 >= INTEREST
