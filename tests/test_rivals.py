@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from matplotlib.figure import Figure
+from planted_routes import planted
 from rollout_cases import assert_same
 from study_cases import learned, plan_of
 
@@ -33,7 +34,7 @@ from amusic_gym.evaluation.study.findings import EVERYONE
 from amusic_gym.evaluation.study.lineup import Lineup
 from amusic_gym.policies.protocol import Context
 from amusic_gym.policies.registry import CASCADE, FRONTS, MAY_IDLE, PEER, PERIODIC, VOI
-from amusic_gym.routes.simulate import planted, simulate
+from amusic_gym.routes.simulate import simulate
 
 pytestmark = pytest.mark.slow
 

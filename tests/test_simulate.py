@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from amusic_baselines import make_policy
+from planted_routes import planted
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.estimation.settings import STATISTICS
@@ -16,7 +17,7 @@ from amusic_gym.policies.protocol import Context
 from amusic_gym.routes.descriptors import BLOCK, smooth, write_scores
 from amusic_gym.routes.motion import MOTIONS
 from amusic_gym.routes.route_model import RouteModel, decoys, no_repeats, repeated_places
-from amusic_gym.routes.simulate import Simulation, planted, simulate
+from amusic_gym.routes.simulate import Simulation, simulate
 from amusic_gym.routes.statistics import MEASURES, describe
 
 pytestmark = pytest.mark.slow

@@ -29,6 +29,7 @@ from amusic_agents.run_folder import (
 from amusic_agents.selector import TrainedSelector, load_selector
 from amusic_agents.training import train
 from env_cases import random_bank
+from planted_routes import planted
 from small_training import SMALL
 from stable_baselines3.common.logger import Logger
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -40,7 +41,6 @@ from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation.metrics import compute
 from amusic_gym.evaluation.rollout import Job, rollout, rollouts
 from amusic_gym.policies.trace import Trace
-from amusic_gym.routes.simulate import planted
 
 pytestmark = pytest.mark.slow
 
