@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from amusic_gym.banks import bank_files, importers
 from amusic_gym.banks.bank import GroundTruth, ScoreBank
 from amusic_gym.banks.importers import from_arrays, from_vprbench
-from amusic_gym.utils import storage
+from amusic_gym.utils import reading, storage
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -295,10 +295,10 @@ def test_23_a_ground_truth_that_unpacks_to_more_is_refused_unread(saved, bomb):
 def test_23_a_regular_file_is_read_up_to_a_limit(tmp_path, limit):
     (tmp_path / "x").write_bytes(b"four")
     if limit == 4:
-        assert storage.read_regular(tmp_path / "x", limit) == b"four"
+        assert reading.read_regular(tmp_path / "x", limit) == b"four"
         return
     with pytest.raises(ValueError, match=rf"x has more than the {limit} bytes"):
-        storage.read_regular(tmp_path / "x", limit)
+        reading.read_regular(tmp_path / "x", limit)
 
 
 def npy(header: str) -> bytes:
@@ -378,7 +378,7 @@ KILLED_AT_EVERY_CALL = """
 import contextlib, json, os, shutil, signal, sys
 from pathlib import Path
 import numpy as np
-from amusic_gym.utils import storage
+from amusic_gym.utils import reading, storage
 from amusic_gym.banks.bank import ScoreBank
 
 folder, swap = Path(sys.argv[1]), sys.argv[2] == "swap"
@@ -486,7 +486,7 @@ TWO_WRITERS = """
 import os, sys
 from pathlib import Path
 import numpy as np
-from amusic_gym.utils import storage
+from amusic_gym.utils import reading, storage
 from amusic_gym.banks.bank import ScoreBank
 
 path = Path(sys.argv[1])

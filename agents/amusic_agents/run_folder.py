@@ -34,7 +34,8 @@ from amusic_gym import __version__
 from amusic_gym.envs.observation import VERSION as OBSERVATION_VERSION
 from amusic_gym.estimation.settings import STATISTICS
 from amusic_gym.utils.escaping import CsvWriter
-from amusic_gym.utils.storage import parse_json, read_json, write_whole
+from amusic_gym.utils.reading import parse_json, read_json
+from amusic_gym.utils.storage import write_whole
 
 FORMAT_VERSION = 1
 CONFIG = "config.json"

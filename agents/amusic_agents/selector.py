@@ -18,7 +18,7 @@ from amusic_agents.shipped import shipped
 from amusic_agents.subsets import SubsetSelector
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.utils.names import suggest
-from amusic_gym.utils.storage import parse_json
+from amusic_gym.utils.reading import parse_json
 
 
 class TrainedSelector(NetworkSelector):

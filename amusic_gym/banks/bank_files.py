@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.banks.ground_truth import GroundTruth, check_tolerance
-from amusic_gym.utils import storage
+from amusic_gym.utils import reading, storage
 from amusic_gym.utils.checks import number, whole
 
 FORMAT_VERSION = 1
@@ -126,7 +126,7 @@ def _read_once(
     path: Path, folder: int, verify: bool
 ) -> tuple[NDArray[np.float32], GroundTruth, dict[str, Any]]:
     try:
-        content = storage.read_regular(path / MANIFEST, _MOST_MANIFEST, folder)
+        content = reading.read_regular(path / MANIFEST, _MOST_MANIFEST, folder)
     except FileNotFoundError:
         raise FileNotFoundError(
             f"{path} has no {MANIFEST}, so it is not a whole bank; {_REBUILD}"
@@ -145,18 +145,18 @@ def _read_once(
         raise ValueError(
             f"{path / MANIFEST} lacks an entry or has a wrong one ({error}); {_REBUILD}"
         ) from None
-    with storage.open_file(path / SCORES, folder) as file:
+    with reading.open_file(path / SCORES, folder) as file:
         scores = _map_scores(file, path / SCORES, shape)
         if verify:
-            _compare(storage.sha256(file), path / SCORES, checksums[SCORES])
+            _compare(reading.sha256(file), path / SCORES, checksums[SCORES])
     most = 8 * (queries + 2 + queries * references) + _MOST_HEADERS
-    content = storage.read_regular(path / TRUTH, most, folder)
+    content = reading.read_regular(path / TRUTH, most, folder)
     _compare(hashlib.sha256(content).hexdigest(), path / TRUTH, checksums[TRUTH])
     return scores, _read_truth(content, path / TRUTH, shape), manifest
 
 
 def _parse_manifest(path: Path, content: bytes) -> dict[str, Any]:
-    manifest: dict[str, Any] = storage.parse_json(content, path, _REBUILD)
+    manifest: dict[str, Any] = reading.parse_json(content, path, _REBUILD)
     version = manifest.get("format_version")
     if not isinstance(version, int) or version < 1:
         raise ValueError(f"{path} names no format version; {_REBUILD}")
@@ -177,7 +177,7 @@ def _checksum(manifest: dict[str, Any]) -> str:
 
 def _size_and_checksum(path: Path) -> dict[str, Any]:
     with path.open("rb") as file:
-        return {"bytes": path.stat().st_size, "sha256": storage.sha256(file)}
+        return {"bytes": path.stat().st_size, "sha256": reading.sha256(file)}
 
 
 def _write_scores(
@@ -201,7 +201,7 @@ def _write_scores(
 def _map_scores(
     file: BufferedReader, path: Path, shape: tuple[int, int, int]
 ) -> NDArray[np.float32]:
-    header = storage.read_npy_header(file, path)
+    header = reading.read_npy_header(file, path)
     if header.dtype != np.dtype("<f4") or header.fortran_order:
         raise ValueError(
             f"{path} holds {header.dtype} where float32 in C order is expected "

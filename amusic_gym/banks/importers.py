@@ -15,7 +15,7 @@ from amusic_gym.banks.bank import ScoreBank, as_float32, check_names, check_rows
 from amusic_gym.banks.ground_truth import GroundTruth, resolve_ground_truth
 from amusic_gym.banks.loop_closure import rows_without_recent, truth_without_recent
 from amusic_gym.banks.truth_files import order_of, read_truth, unpickle
-from amusic_gym.utils import storage
+from amusic_gym.utils import reading
 from amusic_gym.utils.names import suggest
 
 VPRBENCH_MATCHES = "precomputed_data_corrected.npy"
@@ -98,12 +98,12 @@ def from_recording(folder: _Path, techniques: Sequence[str] | None = None) -> Sc
     folder = Path(folder)
     path = folder / "techniques.json"
     try:
-        times = storage.read_json(path, "copy the recording again")
+        times = reading.read_json(path, "copy the recording again")
         names = list(techniques or sorted(times, key=str.casefold))
         for name in names:
             if name not in times:
                 raise ValueError(suggest("technique", name, times))
-        truth = storage.read_array(folder / "ground_truth.npy")
+        truth = reading.read_array(folder / "ground_truth.npy")
         per_reference = truth.shape[1]
         seconds = {n: times[n]["encode_s"] + per_reference * times[n]["match_s"] for n in names}
     except (KeyError, TypeError, IndexError) as error:
@@ -178,15 +178,15 @@ class _Matrix:
     """A file's matrix of scores, of which some rows are in memory at a time."""
 
     path: Path
-    header: storage.NpyHeader
+    header: reading.NpyHeader
 
     @classmethod
     def of(cls, path: Path) -> _Matrix:
         """That of a .npy file."""
-        with storage.open_file(path) as file:
-            header = storage.read_npy_header(file, path)
+        with reading.open_file(path) as file:
+            header = reading.read_npy_header(file, path)
         if header.dtype.hasobject:
-            storage.read_array(path)  # refuses
+            reading.read_array(path)  # refuses
         _check_matrix(header.shape, header.dtype, path)
         return cls(path, header)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.banks.ground_truth import GroundTruth, resolve_ground_truth
-from amusic_gym.utils import storage
+from amusic_gym.utils import reading
 
 PAIRS_HEADER = "query,place"
 """First line of a text file that lists pairs, as messages give it."""
@@ -82,10 +82,10 @@ def read_truth(
 
 
 def _read_npy(path: Path, trust: bool, queries: int, references: int) -> NDArray[Any] | GroundTruth:
-    with storage.open_file(path) as file:
-        pickled = storage.read_npy_header(file, path).dtype.hasobject
+    with reading.open_file(path) as file:
+        pickled = reading.read_npy_header(file, path).dtype.hasobject
     if not pickled:
-        return storage.read_array(path)
+        return reading.read_array(path)
     rows = unpickle(path, trust)
     try:
         ids = np.asarray([row[0] for row in rows], dtype=np.int64)
@@ -106,8 +106,8 @@ def unpickle(path: Path, trust: bool) -> NDArray[Any]:
         FileNotFoundError: when there is no such file.
         ValueError: without ``trust``, and for a file of another kind.
     """
-    with storage.open_file(path) as file:
-        storage.read_npy_header(file, path)  # no bare pickle: only what VPR-Bench writes
+    with reading.open_file(path) as file:
+        reading.read_npy_header(file, path)  # no bare pickle: only what VPR-Bench writes
         if not trust:
             raise ValueError(
                 f"{path} holds pickled Python objects, which can run code when read; if you "
@@ -140,7 +140,7 @@ def _read_text(
     path: Path, queries: int, references: int, names: Names | None
 ) -> GroundTruth | NDArray[np.generic]:
     try:
-        lines = storage.read_regular(path, _LARGEST_TEXT).decode("utf-8-sig").splitlines()
+        lines = reading.read_regular(path, _LARGEST_TEXT).decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise ValueError(f"{path} is no text ({error.reason}); give .npy or text") from None
     rows = [(at, re.sub(r"(^|\s)#.*", "", line).strip()) for at, line in enumerate(lines, 1)]

@@ -19,7 +19,8 @@ from tqdm import tqdm
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.evaluation.rollout import Job
-from amusic_gym.utils.storage import read_json, write_whole
+from amusic_gym.utils.reading import read_json
+from amusic_gym.utils.storage import write_whole
 
 FILE = "teacher.json"
 PARTS = 12

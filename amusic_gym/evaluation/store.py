@@ -15,7 +15,8 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.estimation.settings import ESTIMATORS
 from amusic_gym.extraction.code import key_of
 from amusic_gym.utils.imports import PACKAGE, digest_of, source_files
-from amusic_gym.utils.storage import read_json, write_whole
+from amusic_gym.utils.reading import read_json
+from amusic_gym.utils.storage import write_whole
 
 FORMAT_VERSION = 4
 """Of the files. Those of another version have other names."""

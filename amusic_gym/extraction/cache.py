@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.extraction.blocks import Stored
-from amusic_gym.utils import storage
+from amusic_gym.utils import reading, storage
 
 _DIGEST = 64  # bytes at the start; keeps the numbers aligned too
 _INCOMING = "incoming"
@@ -160,7 +160,7 @@ class Cache:
                 raise ValueError("its checksum differs")
             self._checked.add(path)
         file.seek(_DIGEST)
-        header = storage.read_npy_header(file, path)
+        header = reading.read_npy_header(file, path)
         if header.dtype != np.float32 or header.fortran_order:
             raise ValueError(f"it holds {header.dtype}")
         return Stored(path, header.offset, header.shape)

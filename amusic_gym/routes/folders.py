@@ -25,7 +25,7 @@ from amusic_gym.routes.images import (
 from amusic_gym.routes.numbering import arranged, gaps, natural_key, same_numbers
 from amusic_gym.techniques.protocol import Image
 from amusic_gym.utils.checks import whole
-from amusic_gym.utils.storage import open_file
+from amusic_gym.utils.reading import open_file
 
 _NAMED = 5  # frames that a warning names before it only counts
 

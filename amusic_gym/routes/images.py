@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from amusic_gym.routes.image_headers import KINDS, PNM_MAXIMUM, measure, tiff_tags
 from amusic_gym.techniques.protocol import Image
-from amusic_gym.utils import storage
+from amusic_gym.utils import reading
 
 MAX_PIXELS = 100_000_000
 """Width times height that is read unless more is asked for: 300 MB once decoded."""
@@ -170,7 +170,7 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
         FileNotFoundError: when there is no such file.
         ValueError: when it is no regular file.
     """
-    with storage.open_file(Path(path)) as file:
+    with reading.open_file(Path(path)) as file:
         return file.read()
 
 

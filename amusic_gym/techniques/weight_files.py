@@ -25,7 +25,7 @@ from amusic_gym.techniques.weight_readers import (
     RefusalError,
     refuse_bombs,
 )
-from amusic_gym.utils.storage import open_file
+from amusic_gym.utils.reading import open_file
 
 FORMAT_VERSION = 1
 """Of our own layout (saved_weights.py); rises when stored weights would mean something else."""

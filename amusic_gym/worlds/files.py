@@ -11,7 +11,7 @@ from pathlib import Path
 
 import cv2
 
-from amusic_gym.utils import storage
+from amusic_gym.utils import reading, storage
 from amusic_gym.utils.checks import whole
 from amusic_gym.worlds.conditions import REFERENCE, look_at
 from amusic_gym.worlds.film import Image
@@ -170,7 +170,7 @@ def _refuse_others(folder: Path, settings: Settings) -> None:
             f"{folder} holds other files ({min(found)}) and no {SETTINGS}; choose another folder"
         )
     try:
-        before = Settings(**storage.read_json(folder / SETTINGS, "render it again"))
+        before = Settings(**reading.read_json(folder / SETTINGS, "render it again"))
         earlier = whole("places", before.places, 1)
     except (ValueError, TypeError):
         raise ValueError(
