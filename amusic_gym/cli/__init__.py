@@ -21,6 +21,7 @@ COMMANDS = {
     "train": "train a selector",
     "compare": "compare policies on score banks",
     "study": "study policies over seeds, λ and motions, with intervals",
+    "reproduce": "run the paper's experiments on its data sets",
     "navigate": "recognise places live, along images, a video or a camera",
     "demo": "all of it in one go, on rendered worlds",
 }

@@ -53,3 +53,8 @@ def ink_on(colour: str) -> str:
     """Black or white, whichever reads on the colour (relative luminance of sRGB)."""
     luminance = float((_rgb(colour) ** 2.2) @ np.array([0.2126, 0.7152, 0.0722]))
     return "#000000" if luminance > 0.18 else "#FFFFFF"
+
+
+def sequence(count: int) -> list[tuple[float, ...]]:
+    """Shades of one colour for curves of growing parameters, the palest first."""
+    return [tint("#08519C", strength) for strength in np.linspace(0.35, 1.0, count)]

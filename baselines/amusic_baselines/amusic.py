@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import stdtr
 
+from amusic_baselines.arguments import number, parts, whole
 from amusic_gym.estimation.settings import BLOCK, COVERAGE, STATISTICS
 from amusic_gym.policies.protocol import Context, Needs
 from amusic_gym.policies.registry import AMUSIC, RegisteredPolicy
@@ -16,6 +17,8 @@ from amusic_gym.utils.names import suggest
 
 ALPHA = 0.05
 """Significance level of the re-selection test (A-MuSIC, III-C2)."""
+
+MOST_BLOCK = 1000
 
 ROUNDING = 1e-9
 """Corrections this close to each other are equal."""
@@ -119,16 +122,24 @@ class AMuSIC:
 
 
 def amusic(argument: str | None, context: Context) -> AMuSIC:
-    """``amusic``: the paper's; ``amusic:STATISTIC``: the same rule on another statistic.
+    """``amusic``: the paper's; ``amusic:STATISTIC[/M/E]``: another statistic, other M and E.
 
     With ``amusic:evidence`` places are carried on and alike rows discounted, unless the user says
     otherwise; the paper's rule knows neither.
     """
     if argument is None:
         return AMuSIC()
-    if argument not in STATISTICS:
-        raise ValueError(suggest("statistic of amusic", argument, STATISTICS))
-    return AMuSIC(argument)
+    statistic, *numbers = argument.split("/")
+    if statistic not in STATISTICS:
+        raise ValueError(suggest("statistic of amusic", statistic, STATISTICS))
+    if not numbers:
+        return AMuSIC(statistic)
+    _, block, coverage = parts("amusic", argument, "STATISTIC/M/E")
+    return AMuSIC(
+        statistic,
+        whole("amusic", argument, "M", block, 2, MOST_BLOCK),
+        number("amusic", argument, "E", coverage, 0.0, 1.0),
+    )
 
 
 POLICY = RegisteredPolicy(

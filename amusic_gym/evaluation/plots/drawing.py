@@ -43,7 +43,10 @@ Note = tuple[float, float, str, str]  # x, y, text, colour
 
 @contextmanager
 def figure_at(path: str | Path, width: float, height: float) -> Iterator[Figure]:
-    """A figure of so many inches that is drawn and written to `path` when the block ends."""
+    """A figure of so many inches that is drawn and written to `path` when the block ends.
+
+    The end of `path` says what kind of file it is: PNG or PDF.
+    """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -56,7 +59,7 @@ def figure_at(path: str | Path, width: float, height: float) -> Iterator[Figure]
         FigureCanvasAgg(figure)
         yield figure
         image = io.BytesIO()
-        figure.savefig(image, format="png", dpi=DOTS_PER_INCH)
+        figure.savefig(image, format=Path(path).suffix[1:], dpi=DOTS_PER_INCH)
     write_whole(path, image.getvalue())
 
 

@@ -1,0 +1,101 @@
+"""The paper's data sets as banks, and what of them differs from the paper's."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.extraction import extract
+from amusic_gym.routes.datasets import DATASETS, LoadedDataset, load_dataset
+from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.techniques import make_technique
+
+SMALL = 100
+"""Images with a side of fewer pixels are not the paper's."""
+
+
+@dataclass(frozen=True)
+class Route:
+    """A data set of the paper.
+
+    Attributes:
+        name: of the data set.
+        bank: its scores; None where its folders are not there.
+        remarks: what differs from the paper, or what is missing.
+    """
+
+    name: str
+    bank: ScoreBank | None
+    remarks: tuple[str, ...]
+
+
+def load(name: str, root: str | os.PathLike[str]) -> tuple[LoadedDataset, tuple[str, ...]]:
+    """A data set and what differs from the paper's.
+
+    Of a folder with more images than the paper took, as many at even distances, from the first on.
+
+    Raises:
+        FileNotFoundError: when a folder is not there.
+        ValueError: for folders that do not match.
+    """
+    dataset = DATASETS[name]
+    folders = [Path(root) / folder for folder in dataset.reference]
+    count = sum(len(ImageFolder(folder)) for folder in folders if folder.is_dir())
+    if count > dataset.images and len(folders) == 1:
+        step = count // dataset.images
+        found = load_dataset(name, root, first=0, step=step)
+        remarks = [f"{dataset.images} of {count} images, one in {step} from the first on"]
+    else:
+        found = load_dataset(name, root, images=count or None)
+        few = f"{count} images, the paper took {dataset.images}"
+        remarks = [few] if count != dataset.images else []
+    height, width = found.reference[0].shape[:2]
+    if min(height, width) < SMALL:
+        remarks.append(f"images of {width}×{height} pixels")
+    return found, tuple(remarks)
+
+
+def make_route(
+    name: str,
+    root: str | os.PathLike[str],
+    out: Path,
+    *,
+    techniques: Sequence[str],
+    weights: Mapping[str, str],
+    cache: str | os.PathLike[str] | None = None,
+    executor: str = "serial",
+) -> Route:
+    """A data set's scores, extracted to ``out`` / its name; missing folders become a remark.
+
+    Args:
+        name: of `DATASETS`.
+        root: the folder that holds the data sets' folders.
+        out: where the banks are.
+        techniques: as `make_technique` takes them.
+        weights: technique → file of weights, for those that are not to be the ones that ship.
+        cache: see `extract`.
+        executor: see `extract`.
+
+    Raises:
+        ValueError: for folders that do not match.
+    """
+    try:
+        found, remarks = load(name, root)
+    except FileNotFoundError as error:
+        return Route(name, None, (str(error),))
+    bank = extract(
+        found.reference,
+        found.query,
+        [make_technique(each, weights.get(each)) for each in techniques],
+        tolerance=found.tolerance,
+        ground_truth=found.ground_truth,
+        cache=cache,
+        executor=executor,
+        out=out / name,
+        name=name,
+        progress=True,
+    )
+    return Route(name, bank, remarks)
