@@ -17,7 +17,7 @@ from rollout_cases import assert_same
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
-from amusic_gym.estimation.settings import STATISTICS, SICSettings
+from amusic_gym.estimation.settings import BLOCK, COVERAGE, STATISTICS, SICSettings
 from amusic_gym.evaluation.metrics import summarise
 from amusic_gym.evaluation.rollout import Job, rollout, rollouts
 from amusic_gym.policies.protocol import Context, Selector
@@ -196,6 +196,9 @@ def test_runs_on_one_technique_one_frame_one_place(spec):
         ("oracle:", "policy 'oracle' takes no argument, got ''; write oracle"),
         ("amusic:evidance", r"unknown statistic of amusic 'evidance': did you mean 'evidence'\?"),
         ("amusic:", "unknown statistic of amusic ''"),
+        ("amusic:mean/1/0.7", "amusic:mean/1/0.7: M is '1'; give a whole number from 2 to 1000"),
+        ("amusic:mean/10/2", "amusic:mean/10/2: E is '2'; give a number in \\[0, 1\\]"),
+        ("amusic:mean/10", "amusic:mean/10 is not of the form amusic:STATISTIC/M/E"),
         ("random:1.5", r"random:1.5: '1.5' is no probability; give a number in \[0, 1\]"),
         ("random:-0.1", "'-0.1' is no probability"),
         ("random:nan", "'nan' is no probability"),
@@ -267,6 +270,8 @@ def test_amusic_brings_its_own_statistic(statistic, bank):
     assert run("amusic", bank, statistic).statistic == "mean"
     assert run("amusic:evidence", bank, statistic).statistic == "evidence"
     assert_same(run("amusic", bank), run("amusic:mean", bank))
+    assert_same(run("amusic", bank), run(f"amusic:mean/{BLOCK}/{COVERAGE}", bank))
+    assert run("amusic:mean/5/1", bank).ran.sum() != run("amusic", bank).ran.sum()
 
 
 @pytest.mark.parametrize(
