@@ -1,4 +1,7 @@
-"""Make and inspect banks: arrays | vprbench | images | tour | simulate | retime | info; render."""
+"""Make and inspect banks.
+
+arrays | descriptors | vprbench | images | tour | simulate | retime | info; render.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,9 @@ from pathlib import Path
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.bank_files import check_destination
-from amusic_gym.cli.bank_images import (
-    add_images,
-    add_render,
-    add_tour,
-    images,
-    render,
-    tell,
-    tour,
-)
+from amusic_gym.cli.bank_descriptors import add_descriptors, descriptors
+from amusic_gym.cli.bank_images import add_images, add_render, add_tour, images, render, tour
+from amusic_gym.cli.images import tell
 from amusic_gym.cli.options import MANY
 from amusic_gym.cli.parser import Parser, numbers, pairs
 
@@ -94,6 +91,7 @@ def add_arguments(parser: Parser) -> None:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for run, add, about in (
         (arrays, _add_arrays, "from one .npy matrix of scores per technique"),
+        (descriptors, add_descriptors, "from global descriptors, hloc's and others'"),
         (vprbench, _add_vprbench, "from VPR-Bench's precomputed matches"),
         (images, add_images, "from two folders of images, or a data set by name"),
         (tour, add_tour, "from image folders: one drive under changing conditions"),
