@@ -251,12 +251,7 @@ def from_h5(path: Path, group: str = "") -> Descriptors:
     Raises:
         ValueError: without h5py; when it is no such file, or has no such group.
     """
-    try:
-        import h5py
-    except ImportError:
-        raise ValueError(
-            f'{path} needs the package h5py; install it: pip install "amusic-gym[hdf5]"'
-        ) from None
+    h5py = h5py_for(str(path))
     reading.open_file(path).close()  # refuses what is no file
     found: dict[str, tuple[tuple[int, ...], np.dtype[Any]]] = {}
 
@@ -287,6 +282,21 @@ def from_h5(path: Path, group: str = "") -> Descriptors:
     dimensions = found[names[0]][0][0]
     source = f"{path}/{group}" if group else str(path)
     return Descriptors(source, dimensions, np.arange(len(names)), tuple(names), read)
+
+
+def h5py_for(what: str) -> Any:
+    """The package h5py, an optional part.
+
+    Raises:
+        ValueError: where it is not installed, with the command.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise ValueError(
+            f'{what} needs the package h5py; install it: pip install "amusic-gym[hdf5]"'
+        ) from None
+    return h5py
 
 
 def _stack(each: Iterator[tuple[str, NDArray[Any]]], count: int, dimensions: int) -> Floats:

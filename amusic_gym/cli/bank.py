@@ -1,6 +1,6 @@
 """Make and inspect banks.
 
-arrays | descriptors | vprbench | images | tour | simulate | retime | info; render.
+arrays | descriptors | vprbench | images | tour | simulate | retime | info; render | describe.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.bank_files import check_destination
-from amusic_gym.cli.bank_descriptors import add_descriptors, descriptors
+from amusic_gym.cli.bank_descriptors import add_describe, add_descriptors, describe, descriptors
 from amusic_gym.cli.bank_images import add_images, add_render, add_tour, images, render, tour
 from amusic_gym.cli.images import tell
 from amusic_gym.cli.options import MANY
@@ -98,6 +98,7 @@ def add_arguments(parser: Parser) -> None:
         (simulate, _add_simulate, "from the route simulator"),
         (retime, _add_retime, "from a bank: its frames as seen with stops, speeds and jumps"),
         (render, add_render, "draw a made-up route in any weather, as folders of images"),
+        (describe, add_describe, "write descriptors of images, and similar pairs, as hloc does"),
         (info, _add_info, "check a bank and print what is in it"),
     ):
         command = commands.add_parser(run.__name__, help=about)

@@ -1,4 +1,4 @@
-"""The command ``bank descriptors``, and what ``bank images`` takes of descriptors."""
+"""The commands of ``bank`` that have to do with descriptors: descriptors | describe."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from amusic_gym.banks.bank_files import check_destination
+from amusic_gym.banks.bank_files import check_destination, refuse_within_bank
 from amusic_gym.banks.descriptors import METRICS, DescriptorPair, Descriptors
+from amusic_gym.banks.ranking import TOP
+from amusic_gym.cli import images as shared
 from amusic_gym.cli.bank_truth import add_truth, check_truth, truth_of
-from amusic_gym.cli.images import order_of, tell
 from amusic_gym.cli.options import MANY
 from amusic_gym.cli.parser import Parser, by_technique, numbers, pairs
 from amusic_gym.extraction.progress import Progress
@@ -29,7 +30,7 @@ def descriptors(args: argparse.Namespace) -> None:
     if args.order and None in paths:
         raise ValueError("--order goes with --reference-images DIR and --query-images DIR")
     images = [
-        None if path is None else read_traverse(path, order_of(args, side))
+        None if path is None else read_traverse(path, shared.order_of(args, side))
         for path, side in zip(paths, (0, -1), strict=True)
     ]
     made = read_pairs(args, args.reference, args.query, images)
@@ -50,7 +51,28 @@ def descriptors(args: argparse.Namespace) -> None:
             out=args.out,
             advance=advance,
         )
-    tell(bank.path, bank.shape)
+    shared.tell(bank.path, bank.shape)
+
+
+def describe(args: argparse.Namespace) -> None:
+    """Images -> descriptors of techniques, and pairs of similar images, as hloc has them."""
+    from amusic_gym.extraction.export import save_descriptors
+
+    refuse_within_bank(args.out)
+    techniques, _ = shared.techniques_of(args)
+    query = None if args.query is None else shared.run_of(args)
+    for technique in techniques:
+        written = save_descriptors(
+            args.out,
+            technique,
+            shared.map_of(args),
+            query,
+            top=args.top_k,
+            cache=args.cache,
+            executor=args.executor,
+            progress=True,
+        )
+        print(*written, sep="\n", flush=True)
 
 
 def read_pairs(
@@ -114,6 +136,19 @@ def add_descriptors(parser: Parser) -> None:
     parser.add_shared("--seconds", required=True, help="seconds of one run on one frame")
     add_truth(parser)
     parser.add_shared("--name", "--out")
+
+
+def add_describe(parser: Parser) -> None:
+    """Add the arguments of ``describe``."""
+    parser.add_shared("--reference", required=True)
+    parser.add_shared("--query", help="the run's images; without them, pairs are of the map's own")
+    parser.add_shared("--order", "--skip-damaged")
+    parser.add_shared("--techniques", required=True)
+    parser.add_shared("--weights", "--cache", "--executor")
+    pairs = "pairs for each image of the run (default: %(default)s)"
+    parser.add_argument("--top-k", type=int, default=TOP, metavar="K", help=pairs)
+    parser.add_shared("--out", metavar="DIR", help="for NAME.h5 and NAME-pairs.txt")
+    parser.set_defaults(seconds=[])
 
 
 def add_metric(parser: Parser) -> None:
