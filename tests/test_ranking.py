@@ -122,12 +122,12 @@ def test_recall_at_full_precision_is_scikit_learns(spec: str) -> None:
 
 
 def test_recall_at_full_precision_by_hand() -> None:
-    bank = ScoreBank(np.eye(5)[None], ["A"], [1], tolerance=0)
-    given_ = {"ran": np.ones((5, 1), bool), "policy": "x", "statistic": "none"}
-    for wrong, expected in (([4], 0.8), ([2], 0.4), ([0], 0.0), ([], 1.0)):
-        places = np.arange(5)
-        places[wrong] = (places[wrong] + 1) % 5
-        sure = -np.arange(5.0)
+    bank = ScoreBank(np.eye(20)[None], ["A"], [1], tolerance=0)
+    given_ = {"ran": np.ones((20, 1), bool), "policy": "x", "statistic": "none"}
+    for wrong, expected in (([19], 0.95), ([15], 0.75), ([0], 0.0), ([], 1.0)):
+        places = np.arange(20)
+        places[wrong] = (places[wrong] + 1) % 20
+        sure = -np.arange(20.0)
         trace = Trace.join(bank, predictions=places, confidence=sure, similarity=sure, **given_)
         assert metrics.recall_at_full_precision(trace) == pytest.approx(expected)
         assert metrics.recall_at(trace, 1) == trace.correct.mean()
@@ -147,7 +147,13 @@ def test_nothing_ran_leaves_the_prediction_only() -> None:
     ran = np.zeros(2, bool)
     assert ranked(bank, 0, ran, 4).tolist() == [4]
     assert ranked(bank, 0, ran, -1).tolist() == []
-    assert not true_ranks(bank, np.full(50, -1), np.zeros((50, 2), bool)).any()
+    nothing, asleep = np.full(50, -1), np.zeros((50, 2), bool)
+    assert not true_ranks(bank, nothing, asleep).any()
+    silent = {"confidence": np.zeros(50), "similarity": np.zeros(50)}
+    trace = Trace.join(
+        bank, predictions=nothing, ran=asleep, policy="x", statistic="none", **silent
+    )
+    assert metrics.recall_at(trace, 20) == 0.0
 
 
 def test_no_true_place_at_all_is_recall_0() -> None:
