@@ -388,6 +388,16 @@ def test_metrics_are_scipys(queries, places):
         np.testing.assert_allclose(similarity(queries, places, "cosine"), expected, atol=1e-5)
 
 
+def test_lengths_are_looked_at_to_the_end(tmp_path):
+    words = pair_of_files(tmp_path)
+    many = cases.made(5, count=200)
+    many[150] *= 3
+    np.save(tmp_path / "db.npy", many)
+    np.save(tmp_path / "run.npy", cases.made(6, count=200))
+    assert "lengths from 1 to 3, so metrics rank differently" in refusal(tmp_path, *words)
+    assert bank(tmp_path, *words, "--metric", "dot").shape == (1, 200, 200)
+
+
 def test_blocks_do_not_change_the_scores(tmp_path, monkeypatch):
     from amusic_gym.banks import descriptors
 

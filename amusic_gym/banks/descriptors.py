@@ -23,6 +23,7 @@ METRICS = ("dot", "l2", "cosine")
 
 _NUMBERS = 2**25  # of float32 in memory per array: rows of scores, or queries
 _PLACES = 2**23  # likewise, of the map's descriptors
+_SAMPLE = 100  # descriptors that are looked at before work begins
 _EVEN = 1.01  # ratio of lengths up to which all metrics rank alike
 
 Floats = NDArray[np.float32]
@@ -102,16 +103,9 @@ class DescriptorPair:
                 f"{here.dimensions} numbers, those of {there.source} {there.dimensions}; give two"
                 " sets of one network"
             )
-        if self.metric is None:
-            step = max(1, _PLACES // here.dimensions)
-            lengths = [np.linalg.norm(each.block(0, step), axis=1) for each in (here, there)]
-            low, high = np.min(np.concatenate(lengths)), np.max(np.concatenate(lengths))
-            if high > _EVEN * low:
-                raise ValueError(
-                    f"technique {self.technique!r}: its descriptors have lengths from {low:.4g} to"
-                    f" {high:.4g}, so metrics rank differently; give the one that its network was"
-                    f" trained for, --metric {self.technique}=dot|l2|cosine"
-                )
+        if self.metric is None:  # before long work
+            for each in self.sides:
+                self._checked(each.block(0, _SAMPLE))
         elif self.metric not in METRICS:
             raise ValueError(suggest("metric", self.metric, METRICS))
 
@@ -166,14 +160,28 @@ class DescriptorPair:
         queries, places, size = len(self.query), len(self.reference), self.query.dimensions
         step = max(1, _NUMBERS // max(places, size))
         for first in range(0, queries, step):
-            seen = self.query.block(first, step)
+            seen = self._checked(self.query.block(first, step))
             rows = np.empty((len(seen), places), np.float32)
             for begin in range(0, places, max(1, _PLACES // size)):
-                block = self.reference.block(begin, max(1, _PLACES // size))
+                block = self._checked(self.reference.block(begin, max(1, _PLACES // size)))
                 rows[:, begin : begin + len(block)] = similarity(seen, block, self.metric or "dot")
                 advance(len(seen) * len(block))
             check_rows(self.technique, rows, first)
             yield rows
+
+    def _checked(self, block: Floats) -> Floats:
+        """The block, unless no metric was chosen and its descriptors are not equally long."""
+        if self.metric is None:
+            vectors = np.concatenate([self.reference.block(0, 1), block])
+            lengths = np.linalg.norm(vectors, axis=1)
+            if lengths.max() > _EVEN * lengths.min():
+                raise ValueError(
+                    f"technique {self.technique!r}: its descriptors have lengths from"
+                    f" {lengths.min():.4g} to {lengths.max():.4g}, so metrics rank differently;"
+                    " give the one that its network was trained for, --metric"
+                    f" {self.technique}=dot|l2|cosine"
+                )
+        return block
 
 
 def similarity(queries: Floats, places: Floats, metric: str) -> NDArray[np.floating[Any]]:
