@@ -8,15 +8,14 @@ from env_cases import random_bank
 
 from amusic_gym.evaluation.bounds import gap_closed, is_fixed, single_best, virtual_best
 from amusic_gym.evaluation.contestants import all_subsets
-from amusic_gym.evaluation.metrics import mean_rows, summarise
+from amusic_gym.evaluation.metrics import AVERAGED, mean_rows, summarise
 from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.policies.protocol import Context
 
 
 def row(bank, policy, auc, compute, **other):
-    zeros = ("ptr", "seconds_per_frame", "reselections", "idle", "lost")
     return {
-        **dict.fromkeys((*zeros, "auc_vprbench", "auc_paper"), 0.0),
+        **dict.fromkeys(AVERAGED, 0.0),
         **{"bank": bank, "policy": policy, "auc": auc, "compute": compute, "accuracy": 1 - auc},
         **{
             "compute_weight": None,

@@ -56,6 +56,8 @@ ROW_KEYS = [
     "idle",
     "median_error",
     "lost",
+    *(f"recall_at_{n}" for n in (1, 5, 10, 20)),
+    "recall_at_100_precision",
 ]  # as other programs read them
 
 

@@ -136,6 +136,8 @@ def test_a_missing_folder_is_refused_with_the_layout_and_the_source(tmp_path):
     ("name", "options", "sentence"),
     [
         ("night-right", {}, "unknown data set 'night-right': did you mean 'night_right'"),
+        ("gardens_point", {}, "'gardens_point' is a folder; the data set in it is night_right"),
+        ("nordland", {}, "the data set in it is nordland_winter or nordland_fall"),
         ("berlin", {"first": 0}, "first is 0, but berlin joins several folders; leave it out"),
         ("st_lucia", {"step": 2}, r"step is 2 without first; give first=0 \(--first 0\)"),
         ("st_lucia", {"step": 0}, "step is 0; give a whole number >= 1"),

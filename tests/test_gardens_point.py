@@ -7,13 +7,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import corridor
+import numpy as np
 import pytest
 import sklearn.metrics
 from amusic_baselines import make_policy
 
 from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.cli import start
 from amusic_gym.evaluation import metrics
 from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.extraction import extract
@@ -51,6 +54,21 @@ def gardens_point(tmp_path_factory: pytest.TempPathFactory) -> ScoreBank:
         cache=tmp_path_factory.mktemp("cache"),
         name="gardens_point",
     )
+
+
+def test_it_is_found_by_name(tmp_path: Path) -> None:
+    root = corridor.data_folder("gardens_point")
+    if not (root / "gardens_point").is_dir():
+        pytest.skip("AMUSIC_DATA holds no gardens_point/")
+    words = ["images", "--dataset", "night_right", "--root", root, "--techniques", "hog"]
+    words += ["--seconds", "HOG=1", "--cache", tmp_path / "cache", "--out", tmp_path / "bank"]
+    start("bank", [str(word) for word in words])
+    bank = ScoreBank.load(tmp_path / "bank")
+    assert (bank.name, bank.shape, bank.tolerance) == ("night_right", (1, 200, 200), 1)
+    band = abs(np.subtract.outer(np.arange(200), np.arange(200))) <= 1
+    np.testing.assert_array_equal(bank.truth.matrix(), band)
+    for policy in ("raw:HOG", "single:HOG"):
+        assert metrics.auc_paper(run(bank, policy)) == pytest.approx(FIGURES[policy], abs=0.0015)
 
 
 def run(bank: ScoreBank, policy: str) -> Trace:

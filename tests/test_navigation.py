@@ -71,6 +71,8 @@ def ppo():
 
 def assert_same_traces(one: Trace, other: Trace) -> None:
     for field in fields(Trace):
+        if field.name == "true_rank":  # of a live route it is not known
+            continue
         first, second = getattr(one, field.name), getattr(other, field.name)
         np.testing.assert_array_equal(first, second, field.name)
 

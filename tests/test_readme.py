@@ -60,7 +60,7 @@ def check_script(words: list[str]) -> None:
     assert (ROOT / script).is_file(), f"there is no {script}"
     where = [script]
     if arguments and not arguments[0].startswith("-"):  # a subcommand
-        listed = re.search(rf"^ +{arguments[0]} ", help_of(script), re.MULTILINE)
+        listed = re.search(rf"^ +{arguments[0]}( |$)", help_of(script), re.MULTILINE)
         assert listed, f"{script} has no {arguments[0]}"
         where.append(arguments[0])
     known = set(re.findall(r"--[\w-]+", help_of(*where)))

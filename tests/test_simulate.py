@@ -14,10 +14,10 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.estimation.settings import STATISTICS
 from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.policies.protocol import Context
-from amusic_gym.routes.descriptors import BLOCK, smooth, write_scores
 from amusic_gym.routes.motion import MOTIONS
 from amusic_gym.routes.route_model import RouteModel, decoys, no_repeats, repeated_places
 from amusic_gym.routes.simulate import Simulation, simulate
+from amusic_gym.routes.simulated_descriptors import BLOCK, smooth, write_scores
 from amusic_gym.routes.statistics import MEASURES, describe
 
 pytestmark = pytest.mark.slow

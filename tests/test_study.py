@@ -20,7 +20,7 @@ from study_cases import EVERYBODY, FIXED, WEIGHTS, banks, entrant, learned, plan
 from amusic_gym.evaluation import store, study
 from amusic_gym.evaluation.audit import audit
 from amusic_gym.evaluation.contestants import Contestant
-from amusic_gym.evaluation.metrics import mean_rows, summarise
+from amusic_gym.evaluation.metrics import AVERAGED, mean_rows, summarise
 from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.evaluation.study import Entrant, cells
 from amusic_gym.evaluation.study.cells import LABELS
@@ -547,14 +547,12 @@ def made_up(aucs: dict[str, list[tuple[float, float]]], families: dict[str, str]
             "needs_truth": {},
         },
     )
-    shares = ("accuracy", "auc_vprbench", "auc_paper", "ptr", "seconds_per_frame", "reselections")
-    numbers = dict.fromkeys(shares, 0.0)
-    numbers |= {"idle": 0.0, "median_error": None, "lost": 0.0, "queries": 9, "auroc": None}
+    numbers = {**dict.fromkeys(AVERAGED, 0.0), "queries": 9, "auroc": None}
     finished = [
         {
+            **{**numbers, "p_correct": None, "gap": None, "calibration_error": None},
             **cell(policy, "a", auc, compute, families[policy], weight=float(number)),
             **{"condition": "recorded", "seed": None, "member": policy, "costs": "runs"},
-            **{**numbers, "p_correct": None, "gap": None, "calibration_error": None},
         }
         for policy, points in aucs.items()
         for number, (compute, auc) in enumerate(points)

@@ -1,9 +1,9 @@
-"""Score banks from what others have: score matrices, and VPR-Bench's precomputed matches."""
+"""Score banks from what others have: score matrices, descriptors, VPR-Bench's matches."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.banks.bank import ScoreBank, as_float32, check_names, check_rows, check_seconds
+from amusic_gym.banks.descriptors import DescriptorPair
 from amusic_gym.banks.ground_truth import GroundTruth, resolve_ground_truth
 from amusic_gym.banks.loop_closure import rows_without_recent, truth_without_recent
 from amusic_gym.banks.truth_files import order_of, read_truth, unpickle
@@ -78,6 +79,67 @@ def from_arrays(
         rows = rows_without_recent(rows, queries, exclude_recent)
     return ScoreBank.from_rows(
         rows, names, costs, truth=truth, tolerance=places, name=name, source=source, out=out
+    )
+
+
+def from_descriptors(
+    pairs: Sequence[DescriptorPair],
+    seconds: Mapping[str, float],
+    *,
+    tolerance: int | None = None,
+    ground_truth: NDArray[Any] | GroundTruth | None = None,
+    name: str = "",
+    source: str = "",
+    exclude_recent: int | None = None,
+    out: _Path | None = None,
+    advance: Callable[[int], object] = lambda done: None,
+) -> ScoreBank:
+    """A bank from the descriptors of one or several techniques.
+
+    Args:
+        pairs: descriptors of each technique on the map and on the run
+            (`amusic_gym.routes.descriptor_files.read_descriptors` reads them).
+        seconds: technique name -> seconds of one run on one frame.
+        tolerance: see `ScoreBank`; likewise ``ground_truth``, ``name`` and ``source``.
+        ground_truth: by default, query q is at place q.
+        name: what to call the bank in tables.
+        source: where the scores come from; by default, the files' names.
+        exclude_recent: as for `extract`.
+        out: the bank's folder to write; None: the bank stays in memory. With it, memory holds
+            blocks of descriptors and of rows at a time.
+        advance: called with the number of pairs of images that were compared.
+
+    Raises:
+        ValueError: for techniques with different numbers of images, a map that is its own run,
+            descriptors that cannot be used, or seconds for other techniques.
+        OSError: when the bank cannot be written.
+    """
+    names = check_names([pair.technique for pair in pairs])
+    references, queries = map(len, pairs[0].sides)
+    for pair in pairs:
+        pair.check_counts(references, queries)
+    truth, places = resolve_ground_truth(ground_truth, tolerance, queries, references)
+    if exclude_recent is not None:
+        truth = truth_without_recent(truth, exclude_recent)
+    costs = check_seconds(_seconds_in_order(names, seconds), names)
+    files = dict.fromkeys(Path(each.source).name for pair in pairs for each in pair.sides)
+    rows: Iterator[NDArray[np.float32]] = (
+        block for pair in pairs for block in pair.score_rows(advance)
+    )
+    if exclude_recent is not None:
+        rows = rows_without_recent(rows, truth.queries, exclude_recent)
+    else:
+        for pair in pairs:
+            pair.check_apart()
+    return ScoreBank.from_rows(
+        rows,
+        names,
+        costs,
+        truth=truth,
+        tolerance=places,
+        name=name,
+        source=source or f"descriptors: {', '.join(files)}",
+        out=out,
     )
 
 

@@ -43,11 +43,13 @@ def read_truth(
     """Ground truth from a file.
 
     ``.npy``: a boolean matrix [query, reference], or one place per query, -1 for none; or the
-    pickled file of VPR-Bench, with ``trust`` only, because a pickle can run code. Anything else is
-    text, its numbers apart by commas, semicolons or blanks, ``#`` before a comment: one place per
-    line and query; or a matrix of 0 and 1; or, below the line ``query,place`` or
-    ``query,reference``, one true pair per line, of numbers from 0 or, where ``names`` are given,
-    of file names.
+    pickled file of VPR-Bench or of GSV-Cities (``*_gt.npy``: the true places of each query), with
+    ``trust`` only, because a pickle can run code. ``.npz``: positions as Patch-NetVLAD has them,
+    ``utmQ`` (Q, 2), ``utmDb`` (R, 2) and the distance ``posDistThr`` up to which places are true,
+    all in metres. Anything else is text, its numbers apart by commas, semicolons or blanks, ``#``
+    before a comment: one place per line and query; or a matrix of 0 and 1; or, below the line
+    ``query,place`` or ``query,reference``, one true pair per line, of numbers from 0 or, where
+    ``names`` are given, of file names.
 
     Args:
         path: the file.
@@ -55,7 +57,7 @@ def read_truth(
         references: R, places on the map.
         tolerance: places to either side that are right too; see :meth:`GroundTruth.with_tolerance`.
         default: what it is where the file gives one place per query, and ``tolerance`` is None.
-        trust: True to unpickle a file of VPR-Bench.
+        trust: True to unpickle a file.
         parts: see :meth:`GroundTruth.widened`.
         names: of the images.
 
@@ -69,6 +71,8 @@ def read_truth(
     try:
         if path.suffix.lower() == ".npy":
             truth = _read_npy(path, trust, queries, references)
+        elif path.suffix.lower() == ".npz":
+            truth = _read_positions(path, queries, references)
         else:
             truth = _read_text(path, queries, references, names)
         if isinstance(truth, GroundTruth):
@@ -88,15 +92,42 @@ def _read_npy(path: Path, trust: bool, queries: int, references: int) -> NDArray
         return reading.read_array(path)
     rows = unpickle(path, trust)
     try:
-        ids = np.asarray([row[0] for row in rows], dtype=np.int64)
-        places = [np.unique(np.asarray(row[1], dtype=np.int64)) for row in rows]
+        if rows.ndim == 1 and not any(np.ndim(each) for row in rows for each in row):
+            ids, lists = np.arange(len(rows)), list(rows)  # GSV-Cities
+        else:
+            ids = np.asarray([row[0] for row in rows], dtype=np.int64)
+            lists = [row[1] for row in rows]
+        places = [np.unique(np.asarray(each, dtype=np.int64)) for each in lists]
     except (IndexError, TypeError, ValueError) as error:
         raise ValueError(
-            f"{path} is not laid out as VPR-Bench's ground truth is (query id, list of true "
-            f"places): {error}"
+            f"{path} is not laid out as VPR-Bench's ground truth (query id, list of true "
+            f"places) or GSV-Cities' (true places of each query) is: {error}"
         ) from None
     order = order_of(ids, queries, path)
     return GroundTruth.from_lists([places[row] for row in order], references)
+
+
+def _read_positions(path: Path, queries: int, references: int) -> GroundTruth:
+    """Places within ``posDistThr`` of each query, up to and including it."""
+    with reading.open_file(path) as file:
+        try:
+            with np.load(file, allow_pickle=False) as arrays:
+                frames, places = (np.asarray(arrays[key], np.float64) for key in ("utmQ", "utmDb"))
+                metres = float(np.asarray(arrays["posDistThr"], np.float64).item())
+        except Exception as error:  # a damaged zip raises nearly anything
+            raise ValueError(
+                f"{path} is not laid out as Patch-NetVLAD's ground truth is (utmQ, utmDb, "
+                f"posDistThr): {error}"
+            ) from None
+    if (frames.shape, places.shape) != ((queries, 2), (references, 2)):
+        raise ValueError(
+            f"{path} has positions of {frames.shape} queries and {places.shape} places where "
+            f"({queries}, 2) and ({references}, 2) are expected; give those of the same images"
+        )
+    if not (np.isfinite(frames).all() and np.isfinite(places).all() and 0 <= metres < np.inf):
+        raise ValueError(f"{path} holds a position or distance that is no number; mend it")
+    near = [np.flatnonzero(np.hypot(*(places - frame).T) <= metres) for frame in frames]
+    return GroundTruth.from_lists(near, references)
 
 
 def unpickle(path: Path, trust: bool) -> NDArray[Any]:

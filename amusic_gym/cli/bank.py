@@ -1,4 +1,7 @@
-"""Make and inspect banks: arrays | vprbench | images | tour | simulate | retime | info; render."""
+"""Make and inspect banks.
+
+arrays | descriptors | vprbench | images | tour | simulate | retime | info; render | describe.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,9 @@ from pathlib import Path
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.bank_files import check_destination
-from amusic_gym.cli.bank_images import (
-    add_images,
-    add_render,
-    add_tour,
-    images,
-    render,
-    tell,
-    tour,
-)
+from amusic_gym.cli.bank_descriptors import add_describe, add_descriptors, describe, descriptors
+from amusic_gym.cli.bank_images import add_images, add_render, add_tour, images, render, tour
+from amusic_gym.cli.images import tell
 from amusic_gym.cli.options import MANY
 from amusic_gym.cli.parser import Parser, numbers, pairs
 
@@ -94,12 +91,14 @@ def add_arguments(parser: Parser) -> None:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for run, add, about in (
         (arrays, _add_arrays, "from one .npy matrix of scores per technique"),
+        (descriptors, add_descriptors, "from global descriptors, hloc's and others'"),
         (vprbench, _add_vprbench, "from VPR-Bench's precomputed matches"),
         (images, add_images, "from two folders of images, or a data set by name"),
         (tour, add_tour, "from image folders: one drive under changing conditions"),
         (simulate, _add_simulate, "from the route simulator"),
         (retime, _add_retime, "from a bank: its frames as seen with stops, speeds and jumps"),
         (render, add_render, "draw a made-up route in any weather, as folders of images"),
+        (describe, add_describe, "write descriptors of images, and similar pairs, as hloc does"),
         (info, _add_info, "check a bank and print what is in it"),
     ):
         command = commands.add_parser(run.__name__, help=about)

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from amusic_gym.banks.bank_files import check_destination
 from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.cli import images as shared
+from amusic_gym.cli.bank_descriptors import add_metric, read_pairs
+from amusic_gym.cli.bank_truth import add_truth, check_truth, given, truth_of
 from amusic_gym.cli.options import MANY
 from amusic_gym.cli.parser import Parser
 from amusic_gym.extraction.progress import Progress
@@ -41,12 +43,17 @@ class _Route(NamedTuple):
 
 def images(args: argparse.Namespace) -> None:
     """Two folders of images, or a data set -> a bank."""
-    techniques, seconds = shared.techniques_of(args)
+    named = [item.partition("=")[0] for item in args.reference_descriptors]
+    techniques, seconds = shared.techniques_of(args, named)
     route = _folders(args) if args.dataset is None else _dataset(args)
+    pairs = read_pairs(
+        args, args.reference_descriptors, args.query_descriptors, [route.reference, route.query]
+    )
     if args.copies:
         widened = image_truth.with_copies(route.ground_truth, route.reference)
         route = route._replace(ground_truth=widened)
-    _extract(args, techniques, seconds, exclude_recent=args.exclude_recent, **route._asdict())
+    more = {"exclude_recent": args.exclude_recent, "descriptors": pairs}
+    _extract(args, techniques, seconds, **more, **route._asdict())
 
 
 def tour(args: argparse.Namespace) -> None:
@@ -127,13 +134,7 @@ def _extract(
         name=args.name or name,
         **more,
     )
-    tell(bank.path, bank.shape)
-
-
-def tell(path: Path | None, shape: tuple[int, int, int]) -> None:
-    """Print where a bank is, and how large."""
-    techniques, queries, references = shape
-    print(f"{path}: {techniques} techniques, {queries} queries, {references} references")
+    shared.tell(bank.path, bank.shape)
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -166,29 +167,14 @@ def _part(text: str) -> tuple[ImageFolder, ImageFolder]:
 def _folders(args: argparse.Namespace) -> _Route:
     """The route of ``--reference`` and ``--query``."""
     _refuse(args, ("root", "images", "first", "step"), "only goes with --dataset")
-    by, tolerance = args.truth_by, args.tolerance
-    limits = _given(args, "metres", "heading")
-    if limits and by != "position":
-        raise ValueError(f"--{next(iter(limits))} only goes with --truth-by position")
-    if args.ground_truth is not None and by is not None:
-        raise ValueError("--ground-truth and --truth-by both say what is true; give one of the two")
+    check_truth(args)
     if args.reference is None or args.query is None:
         raise ValueError("give --reference DIR and --query DIR, or --dataset NAME and --root DIR")
-    if tolerance is None and args.ground_truth is None and by != "position":
-        raise ValueError("give --tolerance N, the places to either side that count as right")
     reference, query = shared.map_of(args), shared.run_of(args)
     if args.exclude_recent is None:
         image_truth.warn_of_shared_files(reference, query)
-    if args.ground_truth is not None:
-        truth = image_truth.from_file(args.ground_truth, reference, query, tolerance, args.trust)
-    elif by == "position":
-        truth = image_truth.by_position(reference, query, **limits)
-        truth = truth if tolerance is None else truth.with_tolerance(tolerance)
-    elif by == "name":
-        truth = image_truth.by_name(reference, query, tolerance)
-    else:
-        truth = image_truth.by_index(reference, query, tolerance, exact=by is None)
-    return _Route(reference, query, truth, tolerance, "")
+    truth = truth_of(args, reference, query)
+    return _Route(reference, query, truth, args.tolerance, "")
 
 
 def _dataset(args: argparse.Namespace) -> _Route:
@@ -201,7 +187,7 @@ def _dataset(args: argparse.Namespace) -> _Route:
         raise ValueError(f"--dataset {args.dataset} needs --root DIR, where its folders are")
     least = {"images": 1, "first": 0, "step": 1}
     counts = {
-        name: whole(f"--{name}", value, least[name]) for name, value in _given(args, *least).items()
+        name: whole(f"--{name}", value, least[name]) for name, value in given(args, *least).items()
     }
     found = load_dataset(args.dataset, args.root, **counts)
     truth, tolerance = found.ground_truth, found.tolerance
@@ -211,12 +197,8 @@ def _dataset(args: argparse.Namespace) -> _Route:
     return _Route(found.reference, found.query, truth, tolerance, found.name)
 
 
-def _given(args: argparse.Namespace, *names: str) -> dict[str, Any]:
-    return {name: value for name in names if (value := getattr(args, name)) is not None}
-
-
 def _refuse(args: argparse.Namespace, names: Sequence[str], why: str) -> None:
-    for name in _given(args, *names):
+    for name in given(args, *names):
         raise ValueError(f"--{name.replace('_', '-')} {why}")
 
 
@@ -229,17 +211,13 @@ def add_images(parser: Parser) -> None:
     add("--images", type=int, metavar="N", help="of a data set, if not as many as in the paper")
     add("--first", type=int, metavar="I", help="of a data set: the first image to take, from 0")
     add("--step", type=int, metavar="K", help="of a data set: take each K-th from there")
-    add(
-        "--truth-by",
-        choices=("index", "name", "position"),
-        help="frame q is at place q (index, the default where there are as many); at the image "
-        "with the same name; or near images by @UTM_EAST@UTM_NORTH@ in their names",
-    )
-    add("--metres", type=float, metavar="M", help="how near, with --truth-by position")
-    add("--heading", type=float, metavar="D", help="likewise: seen within D degrees, too")
-    parser.add_shared("--ground-truth", "--trust", "--tolerance", "--exclude-recent")
+    add_truth(parser)
     same = "a place's neighbours with the same image, byte for byte, are true too"
     add("--copies", action="store_true", help=same)
+    for side in ("reference", "query"):
+        beside = "of techniques that ran elsewhere, as bank descriptors takes them"
+        add(f"--{side}-descriptors", metavar="NAME=PATH", help=beside, **MANY)
+    add_metric(parser)
     _add_extraction(parser)
 
 

@@ -23,6 +23,8 @@ def add_arguments(parser: Parser) -> None:
     """Add the command's arguments."""
     add_policies(parser, "for all policies but amusic and ppo, which bring their own")
     parser.add_shared("--seed")
+    lists = "also write each query's K best places to DIR/lists"
+    parser.add_argument("--top-k", type=int, metavar="K", help=lists)
 
 
 def main(args: argparse.Namespace) -> None:
@@ -40,6 +42,7 @@ def main(args: argparse.Namespace) -> None:
         args.out,
         **correction_of(args),
         seed=args.seed,
+        top=args.top_k,
         report=partial(print, flush=True),
     )
     draw(result, args.out)

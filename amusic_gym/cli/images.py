@@ -1,10 +1,12 @@
-"""What the commands that read images are given: folders, techniques, seconds."""
+"""What the commands that read images share: folders, techniques, seconds; what they tell."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import warnings
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from amusic_gym.cli.parser import by_technique, numbers
@@ -26,10 +28,15 @@ def run_of(args: argparse.Namespace) -> ImageFolder:
     return _folder(args, args.query, -1)
 
 
-def _folder(args: argparse.Namespace, path: str | os.PathLike[str], side: int) -> ImageFolder:
+def order_of(args: argparse.Namespace, side: int) -> Path | None:
+    """The file of ``--order`` for the map (0) or the run (-1), if one was given."""
     if len(args.order) > 2:
         raise ValueError(f"--order has {len(args.order)} files; give one, or one for each folder")
-    folder = ImageFolder(path, order=args.order[side] if args.order else None)
+    return args.order[side] if args.order else None
+
+
+def _folder(args: argparse.Namespace, path: str | os.PathLike[str], side: int) -> ImageFolder:
+    folder = ImageFolder(path, order=order_of(args, side))
     damaged = folder.damaged() if args.skip_damaged else {}
     if damaged:
         told = "; ".join(list(damaged.values())[:_NAMED])
@@ -42,8 +49,14 @@ def _folder(args: argparse.Namespace, path: str | os.PathLike[str], side: int) -
     return folder.without(damaged)
 
 
-def techniques_of(args: argparse.Namespace) -> tuple[list[Technique], dict[str, float]]:
+def techniques_of(
+    args: argparse.Namespace, others: Sequence[str] = ()
+) -> tuple[list[Technique], dict[str, float]]:
     """The techniques of the command line, and the seconds that are given for some, by name.
+
+    Args:
+        args: with ``techniques``, ``weights`` and ``seconds``.
+        others: names of techniques that do not run here, and may have seconds.
 
     Raises:
         FileNotFoundError: for a file of weights that is not there.
@@ -56,5 +69,11 @@ def techniques_of(args: argparse.Namespace) -> tuple[list[Technique], dict[str, 
         raise ValueError("--techniques names none; give at least one")
     files = by_technique(args.weights, specs, "--weights")
     made = [make_technique(spec, files.get(spec)) for spec in specs]
-    given = by_technique(args.seconds, [technique.name for technique in made], "--seconds")
-    return made, numbers(given, "--seconds")
+    names = [*(technique.name for technique in made), *others]
+    return made, numbers(by_technique(args.seconds, names, "--seconds"), "--seconds")
+
+
+def tell(path: Path | None, shape: tuple[int, int, int]) -> None:
+    """Print where a bank is, and how large."""
+    techniques, queries, references = shape
+    print(f"{path}: {techniques} techniques, {queries} queries, {references} references")

@@ -31,7 +31,7 @@ SHARED: dict[str, dict[str, Any]] = {
         "type": Path,
         "metavar": "FILE",
         "help": ".npy or text: boolean [query, reference], one true place per query (-1: none), or"
-        " pairs of numbers or file names below 'query,place'",
+        " pairs of numbers or file names below 'query,place'; .npz of Patch-NetVLAD: positions",
     },
     "--name": {"help": "what to call it in tables"},
     "--order": {
@@ -65,7 +65,8 @@ SHARED: dict[str, dict[str, Any]] = {
     },
     "--trust": {
         "action": "store_true",
-        "help": "unpickle files of VPR-Bench: a pickle can run any code; do you trust its author?",
+        "help": "unpickle files of VPR-Bench or GSV-Cities: a pickle can run any code; do you trust"
+        " its author?",
     },
     "--weights": {**MANY, "metavar": "NAME=FILE", "help": "in place of those that ship"},
 }

@@ -7,7 +7,7 @@ it was.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,15 +21,17 @@ from amusic_gym.estimation.settings import SICSettings, statistic_label
 from amusic_gym.evaluation import metrics, rollout, store
 from amusic_gym.evaluation.audit import Audit, audit, parting
 from amusic_gym.evaluation.contestants import Contestant
+from amusic_gym.evaluation.lists import write_lists
 from amusic_gym.evaluation.report import ReportFigure
 from amusic_gym.evaluation.tables import Table, footnote, marked
 from amusic_gym.policies.protocol import Context, Correction
 from amusic_gym.policies.registry import parse
 from amusic_gym.policies.trace import DONE, Trace
 from amusic_gym.utils.checks import whole
+from amusic_gym.utils.names import distinct, file_stem
 from amusic_gym.utils.storage import keep_only, write_whole
 
-ROWS, TRACES, RESULTS = "rows", "traces", "results.json"
+ROWS, TRACES, LISTS, RESULTS = "rows", "traces", "lists", "results.json"
 
 MOST_CURVES = 16  # more traces than these in a figure of curves: subsets are left out
 MOST_PANELS = 8  # traces in a figure of selections
@@ -86,6 +88,7 @@ def compare(
     carry: bool | None = None,
     discount: bool | None = None,
     seed: int = 0,
+    top: int | None = None,
     report: Report = print,
 ) -> Comparison:
     """Run every contestant on every bank; write rows, traces and ``results.json`` to ``out``.
@@ -102,6 +105,7 @@ def compare(
         carry: whether places are carried on as candidates, likewise; None: as the statistic has it.
         discount: whether MuSIC discounts alike rows, likewise; None: as the statistic has it.
         seed: for policies that draw.
+        top: also write each query's ranked list of so many places, to ``lists``; None: none.
         report: is given one line per finished row.
 
     Raises:
@@ -110,6 +114,7 @@ def compare(
     """
     check_banks(banks)
     whole("seed", seed, 0)
+    count = whole("top", 1 if top is None else top, 1)
     chosen = {"statistic": statistic, "carry": carry, "discount": discount}
     names = distinct([bank.name or "bank" for bank in banks], taken=("mean",))
     entries = [
@@ -122,11 +127,14 @@ def compare(
     out = Path(out)
     refuse_within_bank(out)
     files = [out / TRACES / f"{stem}.csv" for stem in distinct([_stem(e) for e in entries])]
+    lists = [out / LISTS / file.name for file in files] if top is not None else []
     traces, rows = [], []
     for number, (entry, file) in enumerate(zip(entries, files, strict=True), 1):
         trace, kept = _finish(entry, out / ROWS, report)
         row = metrics.summarise(trace)
         trace.write_csv(file)
+        for path in lists[number - 1 : number]:
+            write_lists(path, entry.context.bank, trace, count)
         traces.append(trace)
         rows.append(row)
         report(f"[{number}/{len(entries)}] {_line(row)}{' (was finished)' if kept else ''}")
@@ -134,6 +142,7 @@ def compare(
     text = json.dumps({"rows": rows, "mean": mean}, indent=1, allow_nan=False)
     write_whole(out / RESULTS, text.encode() + b"\n")
     keep_only(out, "traces", files)
+    keep_only(out, "lists", lists)
     made = [entry.contestant for entry in entries]
     return Comparison(traces, rows, mean, {c.name: c.needs_truth for c in made if c.needs_truth})
 
@@ -218,23 +227,6 @@ def _trace(entry: _Entry, kept: dict[str, Any], folder: Path, stem: str) -> Trac
         raise store.damaged(folder, stem, error) from None
 
 
-def distinct(names: Sequence[str], taken: Iterable[str] = ()) -> list[str]:
-    """The names, a repeated or taken one with the next free number: "bank", "bank (2)".
-
-    They differ in more than case, so that files can be named after them anywhere.
-    """
-    used = {name.casefold() for name in taken}
-    given = []
-    for name in names:
-        number, candidate = 1, name
-        while candidate.casefold() in used:
-            number += 1
-            candidate = f"{name} ({number})"
-        used.add(candidate.casefold())
-        given.append(candidate)
-    return given
-
-
 def _renamed(bank: ScoreBank, name: str) -> ScoreBank:
     if bank.name == name:
         return bank
@@ -248,17 +240,16 @@ def _stem(entry: _Entry) -> str:
     return file_stem(f"{entry.context.bank.name}-{entry.contestant.name}{weight}")
 
 
-def file_stem(name: str) -> str:
-    """A name as part of a file's name on any system: letters, digits and ``-_.+``, not long."""
-    safe = "".join(c if c.isalnum() or c in "-_.+" else "_" for c in name).strip("._").encode()
-    short = safe if len(safe) <= 80 else safe[:39] + b"__" + safe[-39:]  # systems count bytes
-    return short.decode(errors="ignore") or "unnamed"
-
-
 # ---- table ---------------------------------------------------------------------------------
 
 
-COLUMNS = ("accuracy", "auc", "auc_vprbench", "auc_paper", "ptr", "compute", "reselections", "lost")
+COLUMNS = {
+    **{name: name.replace("_", " ") for name in ("accuracy", "auc", "auc_vprbench", "auc_paper")},
+    **{column: f"R@{n}" for column, n in metrics.RECALLS.items()},
+    "recall_at_100_precision": "R@100%P",
+    **{name: name for name in ("ptr", "compute", "reselections", "lost")},
+}
+"""Column of ``results.json`` -> its head."""
 
 
 def table(comparison: Comparison) -> str:
@@ -289,7 +280,7 @@ def partings(traces: Sequence[Trace]) -> list[str]:
 
 def _block(title: str, rows: Sequence[dict[str, Any]], needs_truth: dict[str, str]) -> str:
     title = f"{title} ({rows[0]['queries']} frames, {rows[0]['costs']} costs)"
-    heads = ["policy", "λ", "SIC", *(name.replace("_", " ") for name in COLUMNS)]
+    heads = ["policy", "λ", "SIC", *COLUMNS.values()]
     return Table(title, heads, [_cells(row, needs_truth) for row in rows], words=3).text()
 
 

@@ -21,6 +21,9 @@ CALIBRATION_BINS = 15
 MEAN_KEY = ("policy", "compute_weight", "statistic", "carry", "costs")
 """Rows that are alike in these are averaged."""
 
+RECALLS = {f"recall_at_{n}": n for n in (1, 5, 10, 20)}
+"""Column -> N of Recall@N."""
+
 AVERAGED = (
     "accuracy",
     "auc",
@@ -33,6 +36,8 @@ AVERAGED = (
     "idle",
     "median_error",
     "lost",
+    *RECALLS,
+    "recall_at_100_precision",
 )
 
 
@@ -114,7 +119,7 @@ def summarise(trace: Trace) -> dict[str, Any]:
     """The row of `results.json` for one trace; plain Python values, so `json.dump` takes it.
 
     `compute_weight` is None for policies that have none, `median_error` None where no query has a
-    true place. A re-selection is every selection but the first.
+    true place, Recall@N None for a live route. A re-selection is every selection but the first.
     """
     _warn_if_nothing_is_right(trace)
     errors = trace.error[trace.has_place]
@@ -137,7 +142,27 @@ def summarise(trace: Trace) -> dict[str, Any]:
         "idle": float((~trace.ran.any(axis=1)).mean()),
         "median_error": float(np.median(errors)) if errors.size else None,
         "lost": lost(trace.correct),
+        **{column: recall_at(trace, n) for column, n in RECALLS.items()},
+        "recall_at_100_precision": recall_at_full_precision(trace),
     }
+
+
+def recall_at(trace: Trace, n: int) -> float | None:
+    """Recall@N: share of the queries with a true place that have one among their first N places.
+
+    The list of a query is that of `amusic_gym.banks.ranking`: the policy's place first. None for a
+    live route, which keeps no rows; 0 where no query has a true place.
+    """
+    ranks = trace.true_rank[trace.has_place]
+    if (trace.true_rank < 0).any():
+        return None
+    return float(((ranks > 0) & (ranks <= n)).mean()) if ranks.size else 0.0
+
+
+def recall_at_full_precision(trace: Trace) -> float:
+    """Recall@100 % precision: the highest recall of `curve` before the first wrong match."""
+    precision, recall = curve(trace)
+    return float(recall[precision == 1.0].max(initial=0.0))
 
 
 def ptr(trace: Trace) -> float:
@@ -162,7 +187,7 @@ def mean_rows(
     """Rows averaged, one for each value of `key`, in the order of the first.
 
     Every row weighs the same; `queries` is their total and `bank`, if not in the key, "mean". A
-    `median_error` of None is left out of its mean.
+    value of None is left out of its mean.
     """
     groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
     for row in rows:

@@ -62,6 +62,11 @@ COLUMNS = {
         "Compute", "seconds spent, of running every technique on every frame", ".1%", True
     ),
     "accuracy": Column("Accuracy", "share of frames whose place is right", ".1%"),
+    "recall_at_1": Column("R@1", "queries with a true place that have one first", ".3f"),
+    "recall_at_5": Column("R@5", "that have one among the first 5 places", ".3f"),
+    "recall_at_10": Column("R@10", "among the first 10", ".3f"),
+    "recall_at_20": Column("R@20", "among the first 20", ".3f"),
+    "recall_at_100_precision": Column("R@100%P", "recall before the first wrong match", ".3f"),
     "ptr": Column("PTR", "technique runs, of all there could be", ".3f"),
     "seconds_per_frame": Column("s / frame", "seconds of technique runs per frame", ".3g"),
     "auc_vprbench": Column("AUC, VPR-Bench", "recall relative to the correct matches", ".3f"),

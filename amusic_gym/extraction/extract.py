@@ -7,6 +7,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.banks import bank_files
 from amusic_gym.banks.bank import ScoreBank, check_names, check_seconds
+from amusic_gym.banks.descriptors import DescriptorPair
 from amusic_gym.banks.ground_truth import GroundTruth, resolve_ground_truth
 from amusic_gym.banks.loop_closure import rows_without_recent, truth_without_recent
 from amusic_gym.extraction.cache import Cache
@@ -38,6 +40,7 @@ def extract(
     tolerance: int | None = None,
     ground_truth: ArrayLike | GroundTruth | None = None,
     exclude_recent: int | None = None,
+    descriptors: Sequence[DescriptorPair] = (),
     seconds: Mapping[str, float] | None = None,
     measure_again: bool = False,
     cache: str | os.PathLike[str] | Cache | None = None,
@@ -63,7 +66,10 @@ def extract(
             query q is at place q, in joined folders part by part.
         exclude_recent: for one sequence against itself: how many frames before each are no
             candidates, besides itself and those after it; None: every place is one.
-        seconds: technique name → seconds of one run, for those that are not to be measured here.
+        descriptors: of further techniques, in the order of the images
+            (`amusic_gym.routes.descriptor_files.read_descriptors`).
+        seconds: technique name → seconds of one run, for those that are not to be measured here;
+            those of ``descriptors`` cannot be.
         measure_again: measure the seconds even if the cache remembers them of this machine.
         cache: the cache's folder, or an open cache; None: the default one.
         executor: ``serial``, ``process:N``, ``ray`` or ``ray:ADDRESS``.
@@ -86,8 +92,15 @@ def extract(
     where = make_executor(executor)
     techniques = [techniques] if isinstance(techniques, Technique | str) else techniques
     made = [make_technique(each) if isinstance(each, str) else each for each in techniques]
-    names = check_names([technique.name for technique in made])
+    further = [pair.technique for pair in descriptors]
+    names = check_names([*(technique.name for technique in made), *further])
     declared = _declared(seconds or {}, names)
+    for each in further:
+        if each not in declared:
+            raise ValueError(
+                f"technique {each!r} is given by its descriptors, and its seconds cannot be "
+                f"measured; give them (--seconds {each}=S)"
+            )
     if out is not None:
         _check_writable(Path(out))
     map_folder, run_folder = (
@@ -97,6 +110,8 @@ def extract(
     if ground_truth is None and tolerance is not None:
         ground_truth = by_index(map_folder, run_folder, tolerance, exact=True)
     truth, places = resolve_ground_truth(ground_truth, tolerance, len(run_folder), len(map_folder))
+    for pair in descriptors:
+        pair.check_counts(len(map_folder), len(run_folder))
     references, queries = images_of(map_folder), images_of(run_folder)
     if exclude_recent is not None:
         truth = truth_without_recent(truth, exclude_recent)
@@ -109,15 +124,17 @@ def extract(
             _run(plan, store, where, say, declared.get(plan.technique.name), measure_again)
             for plan in plans
         ]
-        rows: Iterator[NDArray[np.float32]] = (
-            block for plan in plans for block in score_rows(plan, store)
+        advance = stack.enter_context(say.bar("descriptors", sum(map(len, descriptors)), "pairs"))
+        rows: Iterator[NDArray[np.float32]] = chain(
+            (block for plan in plans for block in score_rows(plan, store)),
+            (block for pair in descriptors for block in pair.score_rows(advance)),
         )
         if exclude_recent is not None:
             rows = rows_without_recent(rows, truth.queries, exclude_recent)
         return ScoreBank.from_rows(
             rows,
             names,
-            costs,
+            [*costs, *(declared[each] for each in further)],
             truth=truth,
             tolerance=places,
             name=name,

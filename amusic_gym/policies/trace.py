@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.ranking import true_ranks
 from amusic_gym.estimation.settings import carries
 from amusic_gym.utils.escaping import CsvWriter
 from amusic_gym.utils.storage import write_whole
@@ -32,6 +34,7 @@ CSV_COLUMNS = (
     "correct",
     "techniques",
     "late_runs",
+    "true_rank",
 )
 
 DONE = (
@@ -65,6 +68,7 @@ class Trace:
     correct: NDArray[np.bool_]  # (Q,) the prediction is a true place
     has_place: NDArray[np.bool_]  # (Q,) there is a true place at all
     error: NDArray[np.float64]  # (Q,) places to the nearest true one, nan without one
+    true_rank: NDArray[np.int64]  # (Q,) of the first true place (`banks.ranking`), 0 = none, -1 = ?
     bank: str
     policy: str
     compute_weight: float | None
@@ -105,6 +109,11 @@ class Trace:
             )
         per_frame, per_run = (bank.queries,), (bank.queries, len(bank.techniques))
         predicted = _typed("predictions", predictions, np.int64, per_frame)
+        runs = _typed("ran", ran, np.bool_, per_run)
+        if isinstance(bank, ScoreBank):
+            true_rank = true_ranks(bank, predicted, runs)
+        else:  # a live route keeps no rows
+            true_rank = np.full(per_frame, -1)
         return cls(
             techniques=tuple(bank.techniques),
             seconds=bank.seconds,
@@ -113,12 +122,13 @@ class Trace:
             similarity=np.asarray(similarity),
             p_correct=np.full(per_frame, np.nan) if p_correct is None else np.asarray(p_correct),
             chosen=np.full(per_frame, -1) if chosen is None else np.asarray(chosen),
-            ran=np.asarray(ran),
+            ran=runs,
             late_runs=np.zeros(per_run, np.int64) if late_runs is None else np.asarray(late_runs),
             selections=np.zeros(per_frame, bool) if selections is None else np.asarray(selections),
             correct=bank.truth.correct(predicted),
             has_place=bank.truth.has_place,
             error=bank.truth.distance(predicted),
+            true_rank=true_rank,
             bank=bank.name,
             policy=policy,
             compute_weight=compute_weight,
@@ -183,7 +193,8 @@ class Trace:
         """Write one line per frame with the columns `CSV_COLUMNS`; whole, or not at all.
 
         `techniques` are the names run on the frame itself, joined by "+"; `late_runs` the number of
-        after-the-fact runs charged at its step; `p_correct` is empty where there is none.
+        after-the-fact runs charged at its step; `p_correct` is empty where there is none;
+        `true_rank` is that of the first true place in the frame's list, 0 if it is not in it.
         """
         text = io.StringIO()
         writer = CsvWriter(text)
@@ -200,6 +211,7 @@ class Trace:
                     bool(self.correct[frame]),
                     [n for n, on in zip(self.techniques, self.ran[frame], strict=True) if on],
                     int(self.late_runs[frame].sum()),
+                    int(self.true_rank[frame]),
                 )
             )
         return write_whole(path, text.getvalue().encode())
@@ -214,6 +226,7 @@ def csv_line(
     correct: bool | None,
     ran: Sequence[str],
     late_runs: int,
+    true_rank: int = -1,
 ) -> list[int | str]:
     """The values of `CSV_COLUMNS` of one frame; None, of what is not known, is empty."""
     return [
@@ -225,6 +238,7 @@ def csv_line(
         "" if correct is None else int(correct),
         "+".join(ran),
         late_runs,
+        "" if true_rank < 0 else true_rank,
     ]
 
 
@@ -244,6 +258,7 @@ def _fields(queries: int, techniques: int) -> dict[str, tuple[type[Any], tuple[i
         "correct": (np.bool_, per_frame),
         "has_place": (np.bool_, per_frame),
         "error": (np.float64, per_frame),
+        "true_rank": (np.int64, per_frame),
     }
 
 

@@ -141,6 +141,9 @@ def load_dataset(
         ValueError: for an unknown name, another number of images, or parts that do not match.
     """
     if name not in DATASETS:
+        inside = [each for each in DATASETS if DATASETS[each].reference[0].startswith(f"{name}/")]
+        if inside:
+            raise ValueError(f"{name!r} is a folder; the data set in it is {' or '.join(inside)}")
         raise ValueError(suggest("data set", name, DATASETS))
     dataset = DATASETS[name]
     number = dataset.images if images is None else whole("images", images, 1)

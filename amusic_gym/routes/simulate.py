@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.routes.descriptors import TechniqueModel, smooth, write_scores
 from amusic_gym.routes.motion import (
     JUMP,
     KIDNAPPED,
@@ -46,6 +45,7 @@ from amusic_gym.routes.route_model import (
     no_repeats,
     repeated_places,
 )
+from amusic_gym.routes.simulated_descriptors import TechniqueModel, smooth, write_scores
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import suggest
 

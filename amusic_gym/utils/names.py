@@ -1,9 +1,9 @@
-"""The sentence for an unknown name, the same wherever a name is chosen."""
+"""Names: the sentence for an unknown one, and those of files and of what must be told apart."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 
 def nearest(value: str, valid: Iterable[str]) -> str | None:
@@ -28,3 +28,27 @@ def suggest(kind: str, value: object, valid: Iterable[str]) -> str:
     near = nearest(value, names) if isinstance(value, str) else None
     hint = f" did you mean '{near}'?" if near is not None else ""
     return f"unknown {kind} {value!r}:{hint} valid: {', '.join(names) or '(none)'}"
+
+
+def distinct(names: Sequence[str], taken: Iterable[str] = ()) -> list[str]:
+    """The names, a repeated or taken one with the next free number: "bank", "bank (2)".
+
+    They differ in more than case, so that files can be named after them anywhere.
+    """
+    used = {name.casefold() for name in taken}
+    given = []
+    for name in names:
+        number, candidate = 1, name
+        while candidate.casefold() in used:
+            number += 1
+            candidate = f"{name} ({number})"
+        used.add(candidate.casefold())
+        given.append(candidate)
+    return given
+
+
+def file_stem(name: str) -> str:
+    """A name as part of a file's name on any system: letters, digits and ``-_.+``, not long."""
+    safe = "".join(c if c.isalnum() or c in "-_.+" else "_" for c in name).strip("._").encode()
+    short = safe if len(safe) <= 80 else safe[:39] + b"__" + safe[-39:]  # systems count bytes
+    return short.decode(errors="ignore") or "unnamed"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.routes.descriptors import TechniqueModel
 from amusic_gym.routes.route_model import RouteModel, no_repeats
 from amusic_gym.routes.simulate import TECHNIQUE_NAMES, bank_of, generator
+from amusic_gym.routes.simulated_descriptors import TechniqueModel
 from amusic_gym.utils.checks import whole
 
 

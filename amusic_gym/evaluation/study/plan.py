@@ -11,14 +11,14 @@ from amusic_gym import __version__
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation import store
-from amusic_gym.evaluation.comparison import check_banks, distinct
+from amusic_gym.evaluation.comparison import check_banks
 from amusic_gym.evaluation.contestants import Contestant
 from amusic_gym.evaluation.study import cells as measuring
 from amusic_gym.evaluation.study.cells import CONDITIONS, LABELS, RETIMED, Bench, Cell
 from amusic_gym.policies.protocol import Context, Correction
 from amusic_gym.policies.registry import FAMILIES, FRONTS
 from amusic_gym.utils.checks import whole
-from amusic_gym.utils.names import suggest
+from amusic_gym.utils.names import distinct, suggest
 
 MOST_WEIGHTS = 8
 """λ of a learned selector's front: more would be a search for the best one."""
