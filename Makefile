@@ -3,6 +3,7 @@
 #
 #   make check                           lint, types and the quick tests: while you work
 #   make test                            lint, types and all tests: before you send a change
+#   make docs                            the documentation as a site in out/docs
 #   make demo ARGS="--bank MY_BANK"      extra arguments for the command behind a target
 #   make test ARGS="-k sic" WORKERS=8    tests by name, on eight processes
 #   make setup PYTHON=/path/to/python3   another interpreter
@@ -19,11 +20,11 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 PACKAGES := amusic_gym baselines agents scripts tests
 
-.PHONY: help setup demo check test lint format bench train-default clean
+.PHONY: help setup demo docs check test lint format bench train-default clean
 
 help:
 	@sed -n '/^#/!q; s/^# \{0,1\}//p' Makefile
-	@echo; echo "Targets: setup demo check test lint format bench train-default clean"
+	@echo; echo "Targets: setup demo docs check test lint format bench train-default clean"
 
 setup: $(STAMP)
 
@@ -56,6 +57,10 @@ $(STAMP): requirements.lock pyproject.toml
 
 demo: setup
 	$(PY) scripts/demo.py --out out/demo $(ARGS)
+
+docs: setup
+	$(PY) -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) -r docs/requirements.txt
+	$(PY) -m sphinx -W --keep-going -q docs out/docs
 
 # Small arrays on several processes: one thread each is fastest.
 check test: export OMP_NUM_THREADS ?= 1

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"
 COMMANDS = ROOT / "docs" / "commands.md"
-PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [README, *sorted((ROOT / "docs").rglob("*.md"))]
 
 # The README trains for a minute; this shows only that it runs.
 TINY = {"timesteps=300_000": "timesteps=64, n_envs=4, n_steps=8, pool=2, held_out=1"}
