@@ -240,7 +240,7 @@ def _from_pairs(
     names: Names | None,
     path: Path,
 ) -> GroundTruth:
-    known = [_known(each) for each in names or ((), ())]
+    known = [numbers_by_name(each) for each in names or ((), ())]
     places: list[set[int]] = [set() for _ in range(queries)]
     for at, line in rows[1:]:
         fields = _split(line)
@@ -264,7 +264,7 @@ def _from_pairs(
     return GroundTruth.from_lists([sorted(row) for row in places], references)
 
 
-def _known(names: Sequence[str]) -> dict[str, int | None]:
+def numbers_by_name(names: Sequence[str]) -> dict[str, int | None]:
     """Number of each image by its name, with and without folder and suffix; None: of several."""
     found: dict[str, int | None] = {}
     for at, name in enumerate(names):

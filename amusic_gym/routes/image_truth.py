@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,14 +20,10 @@ from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.banks.truth_files import read_truth
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.images import image_digest
+from amusic_gym.routes.positions import HALF_TURN, Positions, check_comparable, from_names
 
 METRES = 25.0
 """Distance within which two images show the same place, as it is customary in this field."""
-
-HALF_TURN = 180
-"""Degrees, the largest difference of two headings."""
-
-_STRETCH = 2.0  # a traverse is longer than so many metres, and seldom than as many degrees
 
 
 def by_index(
@@ -55,7 +50,7 @@ def by_index(
         raise ValueError(
             f"{query.path} has {_lengths(query)} images, {reference.path} {_lengths(reference)}: "
             "frame q cannot be at place q; take as many of each, or say what is true by file "
-            "names (--truth-by name), by positions in them (--truth-by position), or in a file "
+            "names (--truth-by name), by positions (--truth-by position), or in a file "
             "(--ground-truth FILE)"
         )
     begins = np.cumsum((0, *reference.parts))
@@ -97,12 +92,14 @@ def by_position(
     metres: float = METRES,
     *,
     heading: float | None = None,
+    positions: tuple[Positions, Positions] | None = None,
 ) -> GroundTruth:
-    """True places lie within ``metres`` of the frame, by names like @UTM_EAST@UTM_NORTH@...@.jpg.
+    """True places lie within ``metres`` of the frame. Warns when no frame has a true place.
 
-    The convention is that of VPR-methods-evaluation and its data sets:
+    Without ``positions``, names say them, as @UTM_EAST@UTM_NORTH@...@.jpg. That convention is of
+    VPR-methods-evaluation and its data sets:
     @EAST@NORTH@ZONE@BAND@LATITUDE@LONGITUDE@NUMBER@TILE@HEADING@..., of which the first two must
-    be there. Warns when no frame has a true place.
+    be there.
 
     Args:
         reference: the map.
@@ -110,24 +107,26 @@ def by_position(
         metres: within which a place is true.
         heading: true places are also seen in a direction within so many degrees of the frame's;
             None: in any.
+        positions: of the map and of the run (:mod:`amusic_gym.routes.position_files`).
 
     Raises:
         ValueError: for a name without position, or without heading where that counts; for
-            positions in degrees or in different UTM zones; where every place is true for every
-            frame; for ``metres`` or ``heading`` that are none.
+            positions that cannot be compared; where every place is true for every frame; for
+            ``metres`` or ``heading`` that are none.
     """
     if not 0 <= metres < math.inf:
         raise ValueError(f"metres is {metres!r}; give a distance of 0 or more")
     if heading is not None and not 0 <= heading <= HALF_TURN:
         raise ValueError(f"heading is {heading!r}; give degrees from 0 to {HALF_TURN}, or None")
-    here, there = _positions(reference), _positions(query)  # (R, 2), (Q, 2)
-    _check_metres(np.concatenate([here, there]), reference)
-    _check_zones(reference, query)
-    near = [np.hypot(*(here - frame).T) <= metres for frame in there]
+    here, there = positions or (from_names(reference), from_names(query))
+    check_comparable(here, there)
+    near = [here.distances(point) <= metres for point in there.metres]
     if heading is not None:
-        ours, its = _headings(reference), _headings(query)
-        turned = [abs((ours - each + HALF_TURN) % (2 * HALF_TURN) - HALF_TURN) for each in its]
-        near = [row & (turn <= heading) for row, turn in zip(near, turned, strict=True)]
+        there.turns(0.0)  # refuses headings that are missing
+        near = [
+            row & (here.turns(each) <= heading)
+            for row, each in zip(near, there.headings, strict=True)  # type: ignore[arg-type]
+        ]
     truth = GroundTruth.from_lists([np.nonzero(row)[0] for row in near], len(reference))
     if len(reference) > 1 and all(row.all() for row in near):
         raise ValueError(
@@ -137,7 +136,7 @@ def by_position(
     if not truth.has_place.any():
         warnings.warn(
             f"no image in {query.path} lies within {metres} m of one in {reference.path}; check "
-            "that both are in the same UTM zone",
+            "that both are in the same UTM zone, or system of coordinates",
             UserWarning,
             stacklevel=2,
         )
@@ -240,58 +239,3 @@ def _keys(folder: ImageFolder) -> list[tuple[int, str]]:
     else:
         names = [path.stem for path in folder.paths]
     return list(zip(part_of, names, strict=True))
-
-
-def _fields_of(path: Path) -> list[str]:
-    """Fields of a name like @UTM_EAST@UTM_NORTH@..., each in its place; "" where there is none."""
-    return [*path.stem.split("@"), *[""] * 14]
-
-
-def _numbers_in(folder: ImageFolder, fields: Sequence[int], wanted: str) -> NDArray[np.float64]:
-    """(N, fields) numbers in the names."""
-    numbers = np.empty((len(folder), len(fields)))
-    for at, path in enumerate(folder.paths):
-        try:
-            numbers[at] = [float(_fields_of(path)[field]) for field in fields]
-        except ValueError:
-            numbers[at] = math.nan
-        if not np.isfinite(numbers[at]).all():
-            raise ValueError(f"{path} does not say {wanted}")
-    return numbers
-
-
-def _positions(folder: ImageFolder) -> NDArray[np.float64]:
-    """(N, 2) UTM easting and northing in metres."""
-    where = "where it is; its name must begin with @UTM_EAST@UTM_NORTH@, both in metres"
-    return _numbers_in(folder, (1, 2), where)
-
-
-def _headings(folder: ImageFolder) -> NDArray[np.float64]:
-    """(N,) degrees."""
-    where = "in which direction it looks; the ninth field of its name must be the heading"
-    return _numbers_in(folder, (9,), where)[:, 0]
-
-
-def _check_metres(positions: NDArray[np.float64], reference: ImageFolder) -> None:
-    """Refuse degrees: numbers in their range, all within a stretch that would be 2 metres."""
-    small = (abs(positions) <= (HALF_TURN, HALF_TURN)).all()
-    if small and len(positions) > 2 and (np.ptp(positions, axis=0) < _STRETCH).all():
-        east, north = positions[0]
-        raise ValueError(
-            f"{reference.path}: positions such as @{east}@{north}@ look like degrees of longitude "
-            "and latitude; give metres of UTM easting and northing in the names"
-        )
-
-
-def _check_zones(*folders: ImageFolder) -> None:
-    """Refuse positions that are told to be in several UTM zones: they cannot be compared."""
-    zones: dict[str, Path] = {}
-    for path in (path for folder in folders for path in folder.paths):
-        zone, band = _fields_of(path)[3:5]
-        if zone.isdecimal() and 1 <= int(zone) <= 60 and len(band) == 1 and band.isalpha():
-            zones.setdefault(f"{int(zone)} {'north' if band.upper() >= 'N' else 'south'}", path)
-    if len(zones) > 1:
-        named = ", ".join(f"{zone} ({path})" for zone, path in zones.items())
-        raise ValueError(
-            f"positions are in different UTM zones: {named}; give all in one zone, or drop others"
-        )
