@@ -231,7 +231,7 @@ def test_a_data_set_by_name(run, arguments, folders, tmp_path):
         (["--images", 3], "--images only goes with --dataset"),
         (["--out", ROOT, "--tolerance", 1], "holds other files"),
         (["--truth-by", "names"], "invalid choice: 'names'"),
-        (["--metres", 3, "--tolerance", 1], "--metres only goes with --truth-by position"),
+        (["--metres", 3, "--tolerance", 1], "--within only goes with --truth-by position"),
         (["--truth-by", "name", "--ground-truth", "f", "--tolerance", 1], "give one of the two"),
         (["--tolernce", 3], "did you mean '--tolerance'"),
     ],

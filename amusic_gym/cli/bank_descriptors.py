@@ -38,7 +38,7 @@ def descriptors(args: argparse.Namespace) -> None:
         folder or _numbered(made[0].sides[side], SIDES[side], args.truth_by)
         for side, folder in enumerate(images)
     )
-    truth = truth_of(args, reference, query)
+    truth, _ = truth_of(args, shared.Traverse(reference), shared.Traverse(query))
     names = [pair.technique for pair in made]
     with Progress(True).bar("descriptors", sum(map(len, made)), "pairs") as advance:
         bank = from_descriptors(
@@ -60,12 +60,12 @@ def describe(args: argparse.Namespace) -> None:
 
     refuse_within_bank(args.out)
     techniques, _ = shared.techniques_of(args)
-    query = None if args.query is None else shared.run_of(args)
+    query = None if args.query is None else shared.image_folder(args, args.query, -1)
     for technique in techniques:
         written = save_descriptors(
             args.out,
             technique,
-            shared.map_of(args),
+            shared.image_folder(args, args.reference, 0),
             query,
             top=args.top_k,
             cache=args.cache,

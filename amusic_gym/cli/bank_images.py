@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import os
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,15 +16,17 @@ from amusic_gym.cli import images as shared
 from amusic_gym.cli.bank_descriptors import add_metric, read_pairs
 from amusic_gym.cli.bank_truth import add_truth, check_truth, given, truth_of
 from amusic_gym.cli.options import MANY
-from amusic_gym.cli.parser import Parser
+from amusic_gym.cli.parser import Parser, destination
 from amusic_gym.extraction.progress import Progress
 from amusic_gym.routes import image_truth, tours
 from amusic_gym.routes.conditions import CONDITIONS
 from amusic_gym.routes.datasets import load_dataset
 from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.routes.positions import Positions
 from amusic_gym.utils.checks import whole
 
 if TYPE_CHECKING:
+    from amusic_gym.banks.bank import ScoreBank
     from amusic_gym.techniques import Technique
 
 LEAST_SIZE = 16
@@ -39,21 +43,34 @@ class _Route(NamedTuple):
     ground_truth: GroundTruth
     tolerance: int | None
     name: str
+    positions: tuple[Positions, Positions] | None = None
 
 
 def images(args: argparse.Namespace) -> None:
     """Two folders of images, or a data set -> a bank."""
     named = [item.partition("=")[0] for item in args.reference_descriptors]
     techniques, seconds = shared.techniques_of(args, named)
-    route = _folders(args) if args.dataset is None else _dataset(args)
-    pairs = read_pairs(
-        args, args.reference_descriptors, args.query_descriptors, [route.reference, route.query]
+    with ExitStack() as stack:
+        route = _dataset(args) if args.dataset else _folders(args, stack)
+        sides = [route.reference, route.query]
+        pairs = read_pairs(args, args.reference_descriptors, args.query_descriptors, sides)
+        if args.copies:
+            widened = image_truth.with_copies(route.ground_truth, route.reference)
+            route = route._replace(ground_truth=widened)
+        what = {name: value for name, value in route._asdict().items() if name != "positions"}
+        what |= {"exclude_recent": args.exclude_recent, "descriptors": pairs}
+        bank = _extract(args, techniques, seconds, **what)
+    if route.positions is None:
+        return
+    metres = image_truth.METRES if args.metres is None else args.metres
+    print(
+        f"right within {metres:g} m: {int(bank.truth.has_place.sum())} of {bank.queries} frames"
+        f" have a place; tolerance {bank.tolerance} places"
     )
-    if args.copies:
-        widened = image_truth.with_copies(route.ground_truth, route.reference)
-        route = route._replace(ground_truth=widened)
-    more = {"exclude_recent": args.exclude_recent, "descriptors": pairs}
-    _extract(args, techniques, seconds, **more, **route._asdict())
+    if args.plot is not None:
+        from amusic_gym.evaluation.plots.tracks import draw_matches
+
+        print(draw_matches(bank, *route.positions, args.plot))
 
 
 def tour(args: argparse.Namespace) -> None:
@@ -117,7 +134,7 @@ def _extract(
     query: Any,
     name: str = "",
     **more: Any,
-) -> None:
+) -> ScoreBank:
     """Extract scores to ``--out``, and tell of it; ``more`` is passed on to `extract`."""
     from amusic_gym.extraction import extract
 
@@ -135,6 +152,7 @@ def _extract(
         **more,
     )
     shared.tell(bank.path, bank.shape)
+    return bank
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -164,22 +182,26 @@ def _part(text: str) -> tuple[ImageFolder, ImageFolder]:
     return ImageFolder(reference, **cut), ImageFolder(query, **cut)
 
 
-def _folders(args: argparse.Namespace) -> _Route:
+def _folders(args: argparse.Namespace, stack: ExitStack) -> _Route:
     """The route of ``--reference`` and ``--query``."""
     _refuse(args, ("root", "images", "first", "step"), "only goes with --dataset")
     check_truth(args)
     if args.reference is None or args.query is None:
         raise ValueError("give --reference DIR and --query DIR, or --dataset NAME and --root DIR")
-    reference, query = shared.map_of(args), shared.run_of(args)
+    if given(args, "every", "fps") and not any(map(os.path.isfile, (args.reference, args.query))):
+        raise ValueError("--every and --fps thin a video, but --reference and --query are none")
+    reference, query = shared.map_of(args, stack), shared.run_of(args, stack)
     if args.exclude_recent is None:
-        image_truth.warn_of_shared_files(reference, query)
-    truth = truth_of(args, reference, query)
-    return _Route(reference, query, truth, args.tolerance, "")
+        image_truth.warn_of_shared_files(reference.folder, query.folder)
+    truth, positions = truth_of(args, reference, query)
+    return _Route(reference.folder, query.folder, truth, args.tolerance, "", positions)
 
 
 def _dataset(args: argparse.Namespace) -> _Route:
     """The route of ``--dataset``."""
-    brought = ("reference", "query", "ground_truth", "truth_by", "metres", "heading")
+    brought = ("reference", "query", "ground_truth", "truth_by", "metres", "heading", "plot")
+    thinning = ("every", "fps", "every_metres", "reference_positions", "query_positions")
+    _refuse(args, thinning, "does not go with --dataset, whose images are given")
     _refuse(args, brought, "does not go with --dataset, which brings it")
     if args.order or args.skip_damaged:
         raise ValueError("--order and --skip-damaged do not go with --dataset; give its folders")
@@ -199,7 +221,8 @@ def _dataset(args: argparse.Namespace) -> _Route:
 
 def _refuse(args: argparse.Namespace, names: Sequence[str], why: str) -> None:
     for name in given(args, *names):
-        raise ValueError(f"--{name.replace('_', '-')} {why}")
+        option = "within" if name == "metres" else name.replace("_", "-")
+        raise ValueError(f"--{option} {why}")
 
 
 def add_images(parser: Parser) -> None:
@@ -212,6 +235,9 @@ def add_images(parser: Parser) -> None:
     add("--first", type=int, metavar="I", help="of a data set: the first image to take, from 0")
     add("--step", type=int, metavar="K", help="of a data set: take each K-th from there")
     add_truth(parser)
+    drawn = "draw both tracks, and the places that each technique matches by itself"
+    add("--plot", type=destination, metavar="FILE.png", help=drawn)
+    parser.add_shared("--every", "--fps", "--every-metres")
     same = "a place's neighbours with the same image, byte for byte, are true too"
     add("--copies", action="store_true", help=same)
     for side in ("reference", "query"):

@@ -6,11 +6,17 @@ import argparse
 import os
 import warnings
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from amusic_gym.cli.parser import by_technique, numbers
+from amusic_gym.extraction.progress import Progress
 from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.routes.position_files import EXIF, positions_of, read_track
+from amusic_gym.routes.positions import Positions
+from amusic_gym.routes.video_frames import frames_of
+from amusic_gym.utils.checks import whole
 
 if TYPE_CHECKING:
     from amusic_gym.techniques import Technique
@@ -18,14 +24,67 @@ if TYPE_CHECKING:
 _NAMED = 3  # damaged images that a warning names before it only counts
 
 
-def map_of(args: argparse.Namespace) -> ImageFolder:
-    """The folder of ``--reference``."""
-    return _folder(args, args.reference, 0)
+class Traverse(NamedTuple):
+    """Images in the order in which they were taken, and where that was."""
+
+    folder: ImageFolder
+    positions: Positions | None = None
 
 
-def run_of(args: argparse.Namespace) -> ImageFolder:
-    """The folder of ``--query``."""
-    return _folder(args, args.query, -1)
+def has_positions(args: argparse.Namespace) -> bool:
+    """Whether a file of positions is named."""
+    return args.reference_positions is not None or args.query_positions is not None
+
+
+def map_of(args: argparse.Namespace, stack: ExitStack) -> Traverse:
+    """The images of ``--reference``; those of a video are there until ``stack`` ends."""
+    return traverse(args, args.reference, stack, args.reference_positions, 0)
+
+
+def run_of(args: argparse.Namespace, stack: ExitStack) -> Traverse:
+    """The images of ``--query``; likewise."""
+    return traverse(args, args.query, stack, args.query_positions, -1)
+
+
+def traverse(
+    args: argparse.Namespace,
+    path: str | os.PathLike[str],
+    stack: ExitStack,
+    positions: str | None,
+    side: int = 0,
+) -> Traverse:
+    """The images of a folder or a video, thinned and with positions as the options say.
+
+    Raises:
+        FileNotFoundError: for what is not there.
+        ValueError: for what cannot be read, or options that do not go together.
+    """
+    metres = args.every_metres
+    if args.every is not None and args.fps is not None:
+        raise ValueError("--every and --fps both thin a video; give one of the two")
+    if metres is not None and positions is None:
+        raise ValueError(f"--every-metres needs the positions of {path}; give a file of them")
+    if not Path(path).is_file():
+        return _thinned(image_folder(args, path, side), positions, metres)
+    if args.order or args.skip_damaged or positions == EXIF:
+        raise ValueError(f"{path} is a video; --order, --skip-damaged and exif are of image files")
+    every = 1 if args.every is None else whole("--every", args.every, 1)
+    track = None if positions is None else read_track(positions)
+    thinned: dict[str, Any] = {"every": every, "fps": args.fps, "metres": metres}
+    with Progress(True).bar(Path(path).name, None, "frames") as advance:
+        frames = frames_of(path, track=track, advance=advance, **thinned)
+        return Traverse(*stack.enter_context(frames))
+
+
+def _thinned(folder: ImageFolder, source: str | None, metres: float | None) -> Traverse:
+    """A folder with positions, and of these an image each so many metres."""
+    positions = None if source is None else positions_of(source, folder)
+    if positions is None or metres is None:
+        return Traverse(folder, positions)
+    complete, taken = folder.complete or folder, positions.every(metres)
+    kept = {(folder.kept or range(len(folder)))[at] for at in taken.tolist()}
+    dropped = set(range(len(complete))) - kept
+    return Traverse(complete.without(dropped), positions.take(taken))
 
 
 def order_of(args: argparse.Namespace, side: int) -> Path | None:
@@ -35,7 +94,8 @@ def order_of(args: argparse.Namespace, side: int) -> Path | None:
     return args.order[side] if args.order else None
 
 
-def _folder(args: argparse.Namespace, path: str | os.PathLike[str], side: int) -> ImageFolder:
+def image_folder(args: argparse.Namespace, path: str | os.PathLike[str], side: int) -> ImageFolder:
+    """A folder of the map (0) or the run (-1), as ``--order`` and ``--skip-damaged`` have it."""
     folder = ImageFolder(path, order=order_of(args, side))
     damaged = folder.damaged() if args.skip_damaged else {}
     if damaged:

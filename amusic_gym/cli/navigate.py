@@ -8,7 +8,6 @@ compiling and loading are not in the first frame's time.
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.banks.ground_truth import check_tolerance
+from amusic_gym.banks.ground_truth import GroundTruth, check_tolerance
 from amusic_gym.cli.drive import Journal, check_outputs
 from amusic_gym.cli.images import map_of, run_of, techniques_of
 from amusic_gym.cli.parser import Parser, add_statistic, correction_of, destination, insisted
@@ -33,8 +32,9 @@ from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.map import DescribedMap, describe_map
 from amusic_gym.live.navigation import FrameResult, TraceWriter, navigate
 from amusic_gym.policies.protocol import Context
+from amusic_gym.routes import image_truth
 from amusic_gym.routes.folders import ImageFolder, check_apart
-from amusic_gym.routes.image_truth import from_file, warn_of_shared_files
+from amusic_gym.routes.positions import Positions
 from amusic_gym.routes.video import Camera, VideoFile, VideoWriter
 from amusic_gym.techniques import Technique
 from amusic_gym.utils.checks import whole
@@ -69,8 +69,10 @@ def add_arguments(parser: Parser) -> None:
         " place per frame also how far off a match is still right",
     )
     parser.add_shared("--ground-truth", "--trust", "--order", "--skip-damaged", "--seed")
-    add("--every", type=int, metavar="N", help="of a video: take each N-th frame")
-    add("--fps", type=float, metavar="F", help="of a video: take F frames per second of it")
+    parser.add_shared("--reference-positions", "--query-positions", "--every-metres")
+    near = f"with both: right within so many metres (default: {image_truth.METRES:g})"
+    add("--within", type=float, metavar="METRES", help=near)
+    parser.add_shared("--every", "--fps")
     parser.add_shared("--cache", type=destination, help="where descriptors of the map are kept")
     add("--trace", type=destination, metavar="FILE.csv", help="write a line per frame")
     add("--video", type=destination, metavar="FILE.mp4|.avi", help="write a picture per frame")
@@ -90,13 +92,13 @@ def main(args: argparse.Namespace) -> None:
     with ExitStack() as stack:
         window = stack.enter_context(closing(_window())) if args.show else None
         video = stack.enter_context(VideoWriter(args.video, RENDER_FPS)) if args.video else None
-        frames = _frames(args)
+        frames, there = _frames(args, stack)
         stack.callback(getattr(frames, "close", lambda: None))
-        places = map_of(args)
+        places, here = map_of(args, stack)
         if isinstance(frames, ImageSequence):
             check_apart(places, frames.images)
             if isinstance(frames.images, ImageFolder):
-                warn_of_shared_files(places, frames.images)
+                image_truth.warn_of_shared_files(places, frames.images)
         cache = stack.enter_context(Cache(args.cache))
         maps = [
             stack.enter_context(
@@ -104,7 +106,8 @@ def main(args: argparse.Namespace) -> None:
             )
             for one in techniques
         ]
-        route = _route(args, maps, frames, places, seconds)
+        truth = _truth(args, frames, places, here, there)
+        route = _route(args, maps, frames, places, seconds, truth)
         _warm_up(policy, route, places, correction)
         pictures = Pictures(route, f"{route.name}, {policy_label(args.policy)}")
         trace = stack.enter_context(TraceWriter(args.trace, route)) if args.trace else None
@@ -153,21 +156,49 @@ def _window() -> Window:
     return window
 
 
-def _frames(args: argparse.Namespace) -> FrameSource:
-    """The folder, video or camera of the command line."""
+def _frames(args: argparse.Namespace, stack: ExitStack) -> tuple[FrameSource, Positions | None]:
+    """The folder, video or camera of the command line, and where a folder's images were taken."""
     query, thinned = args.query, args.every is not None or args.fps is not None
     if args.every is not None and args.fps is not None:
         raise ValueError("--every and --fps both thin a video; give one of the two")
-    if thinned and (query.lstrip("-").isdecimal() or Path(query).is_dir()):
+    is_camera = query.lstrip("-").isdecimal() and not Path(query).exists()
+    if thinned and (is_camera or Path(query).is_dir()) and not Path(args.reference).is_file():
         raise ValueError(f"--every and --fps thin a video, but --query {query} is none")
-    if query.isdecimal() and not Path(query).exists():
-        return Camera(int(query))
-    if re.fullmatch(r"-\d+", query) and not Path(query).exists():
+    if is_camera and query.startswith("-"):
         raise ValueError(f"--query {query}: camera numbers are 0, 1, …")
     if Path(query).is_dir():
-        return ImageSequence(run_of(args), Path(query).resolve().name)
+        run = run_of(args, stack)
+        return ImageSequence(run.folder, Path(query).resolve().name), run.positions
+    if args.query_positions is not None:
+        raise ValueError(f"--query-positions needs a folder of images, but --query is {query}")
+    if is_camera:
+        return Camera(int(query)), None
     every = 1 if args.every is None else whole("--every", args.every, 1)
-    return VideoFile(query, every=every, fps=args.fps)
+    return VideoFile(query, every=every, fps=args.fps), None
+
+
+def _truth(
+    args: argparse.Namespace,
+    frames: FrameSource,
+    places: ImageFolder,
+    here: Positions | None,
+    there: Positions | None,
+) -> GroundTruth | None:
+    """What is right, by ``--ground-truth`` or by the positions of both; None: nobody knows."""
+    folder = getattr(frames, "images", None)
+    if args.ground_truth is not None:
+        if not isinstance(folder, ImageFolder):
+            raise ValueError("--ground-truth needs a --query whose length is known: a folder")
+        return image_truth.from_file(
+            args.ground_truth, places, folder, args.tolerance, args.trust, default=TOLERANCE
+        )
+    if here is None or there is None:
+        if args.within is not None or there is not None:
+            raise ValueError("--within needs --reference-positions and --query-positions")
+        return None
+    assert isinstance(folder, ImageFolder)
+    metres = image_truth.METRES if args.within is None else args.within
+    return image_truth.by_position(places, folder, metres, positions=(here, there))
 
 
 def _route(
@@ -176,18 +207,11 @@ def _route(
     frames: FrameSource,
     places: ImageFolder,
     given: Mapping[str, float],
+    truth: GroundTruth | None,
 ) -> LiveRoute:
     """The live route; seconds that are not given are measured."""
-    options: dict[str, Any] = {"tolerance": args.tolerance, "places": places}
-    if args.ground_truth is not None:
-        if not isinstance(frames, ImageSequence):
-            raise ValueError("--ground-truth needs a --query whose length is known: a folder")
-        folder = frames.images
-        assert isinstance(folder, ImageFolder)
-        options["ground_truth"] = from_file(
-            args.ground_truth, places, folder, args.tolerance, args.trust, default=TOLERANCE
-        )
-    elif args.tolerance is None:
+    options: dict[str, Any] = {"tolerance": args.tolerance, "places": places, "ground_truth": truth}
+    if truth is None and args.tolerance is None:
         options["tolerance"] = TOLERANCE
     names = [one.technique.name for one in maps]
     known = dict(given)

@@ -16,6 +16,12 @@ SHARED: dict[str, dict[str, Any]] = {
         "help": "where descriptors are kept (default: $XDG_CACHE_HOME or ~/.cache, amusic-gym)",
     },
     "--costs": {"help": "cost model (default: the bank's own)"},
+    "--every": {"type": int, "metavar": "N", "help": "of a video: take each N-th frame"},
+    "--every-metres": {
+        "type": float,
+        "metavar": "M",
+        "help": "take the first image, and each next one at least M metres on; needs positions",
+    },
     "--exclude-recent": {
         "type": int,
         "metavar": "N",
@@ -26,6 +32,11 @@ SHARED: dict[str, dict[str, Any]] = {
         "default": "serial",
         "metavar": "serial|process:N|ray[:ADDRESS]",
         "help": "where the work is done (default: %(default)s)",
+    },
+    "--fps": {
+        "type": float,
+        "metavar": "F",
+        "help": "of a video: take F frames per second of it, by their time stamps",
     },
     "--ground-truth": {
         "type": Path,
@@ -43,8 +54,13 @@ SHARED: dict[str, dict[str, Any]] = {
     },
     "--out": {"type": Path, "required": True, "metavar": "BANK", "help": "the folder to write"},
     "--policy": {"metavar": "POLICY", "help": "what decides which techniques run; see above"},
-    "--query": {"metavar": "DIR", "help": "the run's images"},
-    "--reference": {"type": Path, "metavar": "DIR", "help": "the map's images"},
+    "--query": {"metavar": "DIR|VIDEO", "help": "the run's images"},
+    "--query-positions": {"metavar": "FILE|exif", "help": "likewise, of the run's images"},
+    "--reference": {"type": Path, "metavar": "DIR|VIDEO", "help": "the map's images"},
+    "--reference-positions": {
+        "metavar": "FILE|exif",
+        "help": "where the map's images were taken: a table, poses of TUM or KITTI, or their EXIF",
+    },
     "--seconds": {**MANY, "metavar": "NAME=S", "help": "of one run (default: measured here)"},
     "--seed": {
         "type": int,

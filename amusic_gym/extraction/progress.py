@@ -18,12 +18,12 @@ class Progress:
         self.shown = shown
 
     @contextlib.contextmanager
-    def bar(self, title: str, total: int, unit: str) -> Iterator[Callable[[int], object]]:
-        """Yield what is to be called with every amount of work that is done.
+    def bar(self, title: str, total: int | None, unit: str) -> Iterator[Callable[[int], object]]:
+        """Yield what is to be called with every amount of work that is done; None: of unknown size.
 
         The bar is on stderr, only where that is a terminal, and vanishes at the end.
         """
-        if not (self.shown and total and sys.stderr.isatty()):
+        if not (self.shown and total != 0 and sys.stderr.isatty()):
             yield lambda done: None
             return
         from tqdm import tqdm

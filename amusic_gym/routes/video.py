@@ -51,6 +51,8 @@ class VideoFile:
         path: the file.
         name: the file's name without its suffix.
         length: number of frames that are taken, None while it is not known.
+        number: of the last frame that was read, among all in the file; -1 before the first.
+        seconds: since the file's begin, of that frame's time stamp.
 
     Raises:
         FileNotFoundError: where there is no such file.
@@ -72,8 +74,9 @@ class VideoFile:
         self.length: int | None = None
         self._capture: Any = None
         self._lost = 0
-        self._ahead: Image | None = None
-        self._next = 0  # number of the frame ahead
+        self._ahead: tuple[Image, int, float] | None = None  # image, number and seconds
+        self._next = 0  # how many frames were read
+        self.number, self.seconds = -1, 0.0
         self.rewind()
 
     def rewind(self) -> None:
@@ -125,7 +128,7 @@ class VideoFile:
             )
         image = None
         while self._ahead is not None and self._next <= frame:
-            image, self._ahead = self._ahead, self._take()
+            (image, self.number, self.seconds), self._ahead = self._ahead, self._take()
             self._next += 1
             if self._ahead is None:
                 self.length = self._next
@@ -133,8 +136,8 @@ class VideoFile:
                 self._tell()
         return image if self._next == frame + 1 else None
 
-    def _take(self) -> Image | None:
-        """The next frame that is due; None after the last."""
+    def _take(self) -> tuple[Image, int, float] | None:
+        """The next frame that is due, its number and seconds; None after the last."""
         tries = 0
         while tries < min(max(self._announced - self._seen, TRIES), _MOST_TRIES):
             if not self._capture.grab():
@@ -143,22 +146,27 @@ class VideoFile:
             self._lost += tries  # they were not the end
             number = self._seen + tries
             self._seen, tries = number + 1, 0
-            if self._is_due(number):
+            at = self._seconds_of(number)
+            if self._is_due(number, at):
                 found, image = self._capture.retrieve()
                 if found:
-                    return _colour(image)
+                    return _colour(image), number, at
                 self._lost += 1
         return None
 
-    def _is_due(self, number: int) -> bool:
-        """Whether the frame that was just grabbed is taken."""
+    def _seconds_of(self, number: int) -> float:
+        """Time stamp of the frame that was just grabbed; of a file without, by its frame rate."""
         import cv2
 
+        at = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
+        if at <= 0 and number:
+            at = number / max(float(self._capture.get(cv2.CAP_PROP_FPS)), 1e-3)
+        return at
+
+    def _is_due(self, number: int, at: float) -> bool:
+        """Whether the frame of that number and time is taken."""
         if self.fps is None:
             return number % self.every == 0
-        at = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
-        if at <= 0 and number:  # no time stamps
-            at = number / max(float(self._capture.get(cv2.CAP_PROP_FPS)), 1e-3)
         turn = math.floor((at + _JITTER) * self.fps)
         due = turn >= self._due
         self._due = turn + 1 if due else self._due
