@@ -134,7 +134,10 @@ class NetVLADPooling(nn.Module):
     def __init__(self, channels: int, clusters: int, bias: bool = False) -> None:
         super().__init__()
         self.assignment = nn.Linear(channels, clusters, bias=bias)
-        self.centroids = nn.Parameter(F.normalize(torch.randn(clusters, channels), dim=1))
+        centroids = torch.empty(clusters, channels)
+        if not centroids.is_meta:  # there, it would import PyTorch's compiler, which takes seconds
+            centroids = F.normalize(centroids.normal_(), dim=1)
+        self.centroids = nn.Parameter(centroids)
 
     def forward(self, features: Tensor) -> Tensor:
         """Residuals, of length 1 per word.
