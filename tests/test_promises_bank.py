@@ -198,10 +198,8 @@ def test_23_what_is_no_bank_at_all_is_refused(tmp_path):
 def rewrite(saved: Path, **entries: object) -> None:
     """Change bank.json as an attacker would: with the right checksums."""
     manifest = json.loads((saved / "bank.json").read_text()) | entries
-    manifest["files"]["ground_truth.npz"] = bank_files._size_and_checksum(
-        saved / "ground_truth.npz"
-    )
-    manifest["sha256"] = bank_files._checksum(manifest)
+    manifest["files"]["ground_truth.npz"] = bank_files.size_and_checksum(saved / "ground_truth.npz")
+    manifest["sha256"] = bank_files.checksum(manifest)
     (saved / "bank.json").write_text(json.dumps(manifest))
 
 

@@ -50,7 +50,8 @@ def write(
     path = Path(os.path.realpath(path))
     check_destination(path)
     with storage.replacing_folder(path, MANIFEST, FILES) as folder:
-        _write_scores(folder / SCORES, scores, (len(techniques), truth.queries, truth.references))
+        shape = (len(techniques), truth.queries, truth.references)
+        write_floats(folder / SCORES, scores, shape)
         np.savez(
             folder / TRUTH,
             indptr=truth.indptr,
@@ -66,9 +67,9 @@ def write(
             "tolerance": tolerance,
             "queries": truth.queries,
             "references": truth.references,
-            "files": {file: _size_and_checksum(folder / file) for file in (SCORES, TRUTH)},
+            "files": {file: size_and_checksum(folder / file) for file in (SCORES, TRUTH)},
         }
-        manifest["sha256"] = _checksum(manifest)
+        manifest["sha256"] = checksum(manifest)
         text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
         (folder / MANIFEST).write_text(text, encoding="utf-8")
 
@@ -131,7 +132,7 @@ def _read_once(
         raise FileNotFoundError(
             f"{path} has no {MANIFEST}, so it is not a whole bank; {_REBUILD}"
         ) from None
-    manifest = _parse_manifest(path / MANIFEST, content)
+    manifest = parse_manifest(content, path / MANIFEST, "bank", FORMAT_VERSION, _REBUILD)
     try:
         checksums = {name: str(manifest["files"][name]["sha256"]) for name in (SCORES, TRUTH)}
         for each in manifest["techniques"]:
@@ -155,34 +156,53 @@ def _read_once(
     return scores, _read_truth(content, path / TRUTH, shape), manifest
 
 
-def _parse_manifest(path: Path, content: bytes) -> dict[str, Any]:
-    manifest: dict[str, Any] = reading.parse_json(content, path, _REBUILD)
+def parse_manifest(
+    content: bytes, path: Path, kind: str, most: int, rebuild: str
+) -> dict[str, Any]:
+    """The manifest of a folder that holds a checksum of itself.
+
+    Args:
+        content: of the file.
+        path: the file.
+        kind: of the folder, for messages.
+        most: newest format version that is known.
+        rebuild: what to do about a damaged one.
+
+    Raises:
+        ValueError: for a damaged one, or one of a newer version.
+    """
+    manifest: dict[str, Any] = reading.parse_json(content, path, rebuild)
     version = manifest.get("format_version")
     if not isinstance(version, int) or version < 1:
-        raise ValueError(f"{path} names no format version; {_REBUILD}")
-    if version > FORMAT_VERSION:
+        raise ValueError(f"{path} names no format version; {rebuild}")
+    if version > most:
         raise ValueError(
-            f"bank {path.parent} has format version {version}; it needs an amusic-gym that reads "
-            f"version {version} (this one reads up to {FORMAT_VERSION}): upgrade amusic-gym"
+            f"{kind} {path.parent} has format version {version}; it needs an amusic-gym that reads "
+            f"version {version} (this one reads up to {most}): upgrade amusic-gym"
         )
-    if manifest.get("sha256") != _checksum(manifest):
-        raise ValueError(f"{path} was damaged or edited: its checksum differs; {_REBUILD}")
+    if manifest.get("sha256") != checksum(manifest):
+        raise ValueError(f"{path} was damaged or edited: its checksum differs; {rebuild}")
     return manifest
 
 
-def _checksum(manifest: dict[str, Any]) -> str:
+def checksum(manifest: dict[str, Any]) -> str:
+    """Digest of a manifest but for its own entry ``sha256``."""
     rest = {key: value for key, value in manifest.items() if key != "sha256"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
-def _size_and_checksum(path: Path) -> dict[str, Any]:
+def size_and_checksum(path: Path) -> dict[str, Any]:
+    """What a manifest says of a file."""
     with path.open("rb") as file:
         return {"bytes": path.stat().st_size, "sha256": reading.sha256(file)}
 
 
-def _write_scores(
-    path: Path, scores: Iterable[NDArray[np.float32]], shape: tuple[int, int, int]
-) -> None:
+def write_floats(path: Path, arrays: Iterable[NDArray[np.float32]], shape: tuple[int, ...]) -> None:
+    """Write one .npy file of float32 from arrays that come one after the other.
+
+    Raises:
+        ValueError: when they do not fill the shape.
+    """
     header = {
         "descr": np.lib.format.dtype_to_descr(np.dtype("<f4")),
         "fortran_order": False,
@@ -191,11 +211,11 @@ def _write_scores(
     with path.open("wb") as file:
         np.lib.format.write_array_header_1_0(file, header)
         begin = file.tell()
-        for matrix in scores:
-            file.write(np.ascontiguousarray(matrix, "<f4").data.cast("B"))
+        for array in arrays:
+            file.write(np.ascontiguousarray(array, "<f4").data.cast("B"))
         written = file.tell() - begin
     if written != 4 * math.prod(shape):
-        raise ValueError(f"{written} bytes of scores where shape {shape} needs others; give all")
+        raise ValueError(f"{written} bytes of numbers where shape {shape} needs others; give all")
 
 
 def _map_scores(

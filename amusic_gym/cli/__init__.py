@@ -22,6 +22,7 @@ COMMANDS = {
     "compare": "compare policies on score banks",
     "study": "study policies over seeds, λ and motions, with intervals",
     "reproduce": "run the paper's experiments on its data sets",
+    "map": "describe a map once, as one folder that a robot loads",
     "navigate": "recognise places live, along images, a video or a camera",
     "demo": "all of it in one go, on rendered worlds",
 }

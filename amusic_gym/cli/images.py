@@ -109,6 +109,14 @@ def image_folder(args: argparse.Namespace, path: str | os.PathLike[str], side: i
     return folder.without(damaged)
 
 
+def specs_of(args: argparse.Namespace) -> tuple[list[str], dict[str, str]]:
+    """What ``--techniques`` names, and the files of ``--weights`` by these names."""
+    specs = [spec.strip() for spec in args.techniques.split(",") if spec.strip()]
+    if not specs:
+        raise ValueError("--techniques names none; give at least one")
+    return specs, by_technique(args.weights, specs, "--weights")
+
+
 def techniques_of(
     args: argparse.Namespace, others: Sequence[str] = ()
 ) -> tuple[list[Technique], dict[str, float]]:
@@ -124,10 +132,7 @@ def techniques_of(
     """
     from amusic_gym.techniques import make_technique
 
-    specs = [spec.strip() for spec in args.techniques.split(",") if spec.strip()]
-    if not specs:
-        raise ValueError("--techniques names none; give at least one")
-    files = by_technique(args.weights, specs, "--weights")
+    specs, files = specs_of(args)
     made = [make_technique(spec, files.get(spec)) for spec in specs]
     names = [*(technique.name for technique in made), *others]
     return made, numbers(by_technique(args.seconds, names, "--seconds"), "--seconds")

@@ -19,8 +19,16 @@ import numpy as np
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.ground_truth import GroundTruth, check_tolerance
+from amusic_gym.cli.described import (
+    TECHNIQUES,
+    Described,
+    from_file,
+    from_images,
+    techniques_for,
+    truth_of,
+)
 from amusic_gym.cli.drive import Journal, check_outputs
-from amusic_gym.cli.images import map_of, run_of, techniques_of
+from amusic_gym.cli.images import run_of
 from amusic_gym.cli.parser import Parser, add_statistic, correction_of, destination, insisted
 from amusic_gym.envs.live_route import FrameSource, ImageSequence, LiveRoute
 from amusic_gym.envs.pictures.drive import Pictures
@@ -28,15 +36,12 @@ from amusic_gym.envs.task import RENDER_FPS
 from amusic_gym.envs.window import Window
 from amusic_gym.evaluation.contestants import Contestant, check_weights, contestants
 from amusic_gym.evaluation.plots.labels import policy_label
-from amusic_gym.extraction.cache import Cache
-from amusic_gym.extraction.map import DescribedMap, describe_map
 from amusic_gym.live.navigation import FrameResult, TraceWriter, navigate
 from amusic_gym.policies.protocol import Context
 from amusic_gym.routes import image_truth
-from amusic_gym.routes.folders import ImageFolder, check_apart
 from amusic_gym.routes.positions import Positions
 from amusic_gym.routes.video import Camera, VideoFile, VideoWriter
-from amusic_gym.techniques import Technique
+from amusic_gym.techniques import Image
 from amusic_gym.utils.checks import whole
 
 COMPUTE_WEIGHT = 0.3
@@ -52,10 +57,12 @@ WARM_UP = 2
 def add_arguments(parser: Parser) -> None:
     """Add the command's arguments."""
     add = parser.add_argument
-    parser.add_shared("--reference", required=True)
+    parser.add_shared("--reference")
+    made = "in place of --reference and --techniques: what `map build` made of them"
+    add("--map", type=Path, metavar="MAP", help=made)
     parser.add_shared("--query", required=True, metavar="DIR|VIDEO|CAMERA", help="what is seen")
     parser.add_shared("--policy", required=True)
-    parser.add_shared("--techniques", default="hog,cohog,calc,netvlad", help="(%(default)s)")
+    parser.add_shared("--techniques", help=f"(default: {TECHNIQUES})")
     parser.add_shared("--weights", "--seconds")
     add_statistic(parser, "unless the policy brings its own")
     weight = "λ of a trained selector or voi (default: %(default)s)"
@@ -87,28 +94,23 @@ def main(args: argparse.Namespace) -> None:
     weights = check_weights([args.compute_weight])
     (policy,) = contestants([args.policy], compute_weights=weights, **insisted(args))
     _check(args)
-    techniques, seconds = techniques_of(args)
-    _refuse_early(policy, techniques, correction)
     with ExitStack() as stack:
+        if args.map is None:
+            techniques, seconds = techniques_for(args)
+            names = [one.name for one in techniques]
+        else:
+            described = from_file(args, stack)
+            names = [one.technique.name for one in described.maps]
+        _refuse_early(policy, names, correction)
         window = stack.enter_context(closing(_window())) if args.show else None
         video = stack.enter_context(VideoWriter(args.video, RENDER_FPS)) if args.video else None
         frames, there = _frames(args, stack)
         stack.callback(getattr(frames, "close", lambda: None))
-        places, here = map_of(args, stack)
-        if isinstance(frames, ImageSequence):
-            check_apart(places, frames.images)
-            if isinstance(frames.images, ImageFolder):
-                image_truth.warn_of_shared_files(places, frames.images)
-        cache = stack.enter_context(Cache(args.cache))
-        maps = [
-            stack.enter_context(
-                closing(describe_map(places, one, cache=cache, progress=not args.quiet))
-            )
-            for one in techniques
-        ]
-        truth = _truth(args, frames, places, here, there)
-        route = _route(args, maps, frames, places, seconds, truth)
-        _warm_up(policy, route, places, correction)
+        if args.map is None:
+            described = from_images(args, techniques, seconds, frames, stack)
+        truth = truth_of(args, described, frames, there, TOLERANCE)
+        route = _route(args, described, frames, truth)
+        _warm_up(policy, route, described.images[0], correction)
         pictures = Pictures(route, f"{route.name}, {policy_label(args.policy)}")
         trace = stack.enter_context(TraceWriter(args.trace, route)) if args.trace else None
         journal = stack.enter_context(Journal(route, quiet=args.quiet))
@@ -136,11 +138,8 @@ def _check(args: argparse.Namespace) -> None:
     check_outputs({"--trace": args.trace, "--video": args.video}, inputs)
 
 
-def _refuse_early(
-    policy: Contestant, techniques: Sequence[Technique], correction: Mapping[str, Any]
-) -> None:
+def _refuse_early(policy: Contestant, names: Sequence[str], correction: Mapping[str, Any]) -> None:
     """Let a wrong policy fail before the map is described, which can take long."""
-    names = [one.name for one in techniques]
     stand_in = ScoreBank(
         np.zeros((len(names), 1, 1), np.float32), names, np.ones(len(names)), tolerance=0
     )
@@ -162,7 +161,8 @@ def _frames(args: argparse.Namespace, stack: ExitStack) -> tuple[FrameSource, Po
     if args.every is not None and args.fps is not None:
         raise ValueError("--every and --fps both thin a video; give one of the two")
     is_camera = query.lstrip("-").isdecimal() and not Path(query).exists()
-    if thinned and (is_camera or Path(query).is_dir()) and not Path(args.reference).is_file():
+    filmed = args.reference is not None and args.reference.is_file()
+    if thinned and not filmed and (is_camera or Path(query).is_dir()):
         raise ValueError(f"--every and --fps thin a video, but --query {query} is none")
     if is_camera and query.startswith("-"):
         raise ValueError(f"--query {query}: camera numbers are 0, 1, …")
@@ -177,42 +177,16 @@ def _frames(args: argparse.Namespace, stack: ExitStack) -> tuple[FrameSource, Po
     return VideoFile(query, every=every, fps=args.fps), None
 
 
-def _truth(
-    args: argparse.Namespace,
-    frames: FrameSource,
-    places: ImageFolder,
-    here: Positions | None,
-    there: Positions | None,
-) -> GroundTruth | None:
-    """What is right, by ``--ground-truth`` or by the positions of both; None: nobody knows."""
-    folder = getattr(frames, "images", None)
-    if args.ground_truth is not None:
-        if not isinstance(folder, ImageFolder):
-            raise ValueError("--ground-truth needs a --query whose length is known: a folder")
-        return image_truth.from_file(
-            args.ground_truth, places, folder, args.tolerance, args.trust, default=TOLERANCE
-        )
-    if here is None or there is None:
-        if args.within is not None or there is not None:
-            raise ValueError("--within needs --reference-positions and --query-positions")
-        return None
-    assert isinstance(folder, ImageFolder)
-    metres = image_truth.METRES if args.within is None else args.within
-    return image_truth.by_position(places, folder, metres, positions=(here, there))
-
-
 def _route(
     args: argparse.Namespace,
-    maps: Sequence[DescribedMap],
+    described: Described,
     frames: FrameSource,
-    places: ImageFolder,
-    given: Mapping[str, float],
     truth: GroundTruth | None,
 ) -> LiveRoute:
     """The live route; seconds that are not given are measured."""
-    options: dict[str, Any] = {"tolerance": args.tolerance, "places": places, "ground_truth": truth}
-    if truth is None and args.tolerance is None:
-        options["tolerance"] = TOLERANCE
+    maps, given = described.maps, described.seconds
+    options: dict[str, Any] = {"places": described.images, "ground_truth": truth}
+    options["tolerance"] = TOLERANCE if truth is args.tolerance is None else args.tolerance
     names = [one.technique.name for one in maps]
     known = dict(given)
     if len(given) < len(names):
@@ -224,10 +198,9 @@ def _route(
 
 
 def _warm_up(
-    policy: Contestant, route: LiveRoute, places: ImageFolder, correction: Mapping[str, Any]
+    policy: Contestant, route: LiveRoute, image: Image, correction: Mapping[str, Any]
 ) -> None:
-    """Compile, load and run everything once, on images of the map."""
-    image = places[0]
+    """Compile, load and run everything once, on an image of the map."""
     for technique in range(len(route.techniques)):
         route.run(technique, image, 0)
     short = LiveRoute(

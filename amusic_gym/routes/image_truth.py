@@ -12,6 +12,7 @@ import math
 import os
 import warnings
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,8 +87,21 @@ def by_name(reference: ImageFolder, query: ImageFolder, tolerance: int) -> Groun
     return _around(centres, tolerance, reference)
 
 
+class Places(Protocol):
+    """A map, for what only counts its places."""
+
+    @property
+    def path(self) -> Path:
+        """Where it is, for messages."""
+        ...
+
+    def __len__(self) -> int:
+        """R."""
+        ...
+
+
 def by_position(
-    reference: ImageFolder,
+    reference: Places,
     query: ImageFolder,
     metres: float = METRES,
     *,
@@ -118,7 +132,10 @@ def by_position(
         raise ValueError(f"metres is {metres!r}; give a distance of 0 or more")
     if heading is not None and not 0 <= heading <= HALF_TURN:
         raise ValueError(f"heading is {heading!r}; give degrees from 0 to {HALF_TURN}, or None")
-    here, there = positions or (from_names(reference), from_names(query))
+    if positions is None:
+        assert isinstance(reference, ImageFolder)
+        positions = from_names(reference), from_names(query)
+    here, there = positions
     check_comparable(here, there)
     near = [here.distances(point) <= metres for point in there.metres]
     if heading is not None:
