@@ -33,7 +33,8 @@ from live_cases import (
 
 from amusic_gym.banks.bank import PAPER_SECONDS
 from amusic_gym.envs.env import TechniqueSelectionEnv
-from amusic_gym.envs.live_route import ImageSequence, LiveRoute, as_frames
+from amusic_gym.envs.frames import ImageSequence, as_frames
+from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
 cached_pair = cache(pair)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amusic_gym.envs.live_route import FrameSource
+from amusic_gym.envs.frames import FrameSource
 from amusic_gym.routes.video import CODECS, Camera, VideoFile, VideoWriter
 
 FRAMES = 7

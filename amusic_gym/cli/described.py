@@ -11,7 +11,7 @@ from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.banks.truth_files import read_truth
 from amusic_gym.cli.images import map_of, techniques_of
 from amusic_gym.cli.parser import by_technique, numbers, pairs
-from amusic_gym.envs.live_route import FrameSource, ImageSequence
+from amusic_gym.envs.frames import FrameSource, ImageSequence
 from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.map import DescribedMap, describe_map
 from amusic_gym.extraction.place_map import PlaceMap

@@ -30,12 +30,14 @@ from amusic_gym.cli.described import (
 from amusic_gym.cli.drive import Journal, check_outputs
 from amusic_gym.cli.images import run_of
 from amusic_gym.cli.parser import Parser, add_statistic, correction_of, destination, insisted
-from amusic_gym.envs.live_route import FrameSource, ImageSequence, LiveRoute
+from amusic_gym.envs.frames import FrameSource, ImageSequence
+from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.envs.pictures.drive import Pictures
 from amusic_gym.envs.task import RENDER_FPS
 from amusic_gym.envs.window import Window
 from amusic_gym.evaluation.contestants import Contestant, check_weights, contestants
 from amusic_gym.evaluation.plots.labels import policy_label
+from amusic_gym.live.localiser import COMPUTE_WEIGHT, TOLERANCE
 from amusic_gym.live.navigation import FrameResult, TraceWriter, navigate
 from amusic_gym.policies.protocol import Context
 from amusic_gym.routes import image_truth
@@ -43,12 +45,6 @@ from amusic_gym.routes.positions import Positions
 from amusic_gym.routes.video import Camera, VideoFile, VideoWriter
 from amusic_gym.techniques import Image
 from amusic_gym.utils.checks import whole
-
-COMPUTE_WEIGHT = 0.3
-"""λ of a trained selector where none is named: in the middle of what `compare` runs."""
-
-TOLERANCE = 2
-"""Places that count as one when matches are compared, where none is named."""
 
 WARM_UP = 2
 """Frames of the map that the policy is run on before the drive."""

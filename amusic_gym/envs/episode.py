@@ -73,6 +73,7 @@ class Episodes:
         estimator: turns the rows that ran into places.
         routes: (N,) what each drives on, None before its first episode.
         drives: (N,) the rows of a live route, None for a bank.
+        room: sizes that the arrays have room for.
     """
 
     def __init__(
@@ -100,7 +101,7 @@ class Episodes:
         self.state = Batch(sizes, block=reselection)
         self._actions = np.zeros((num_routes, self.action_size), np.bool_)
         self.estimator = make_estimator(settings, block=reselection, threads=threads)
-        self._room = {"references": 1, "frames": 1, "candidates": 1}  # that there is room for
+        self.room = {"references": 1, "frames": 1, "candidates": 1}
         self._allocate()
 
     @property
@@ -117,7 +118,7 @@ class Episodes:
 
     def _allocate(self) -> None:
         """Make room, keeping what is remembered."""
-        sizes = {**self.state.sizes, **self._room}
+        sizes = {**self.state.sizes, **self.room}
         self.state = self.state.grown(sizes)
         self.estimator.allocate(self.state, sizes)
         self._link()
@@ -139,9 +140,9 @@ class Episodes:
         """Grow the arrays for a route of that size."""
         candidates = min(self.settings.candidates, references)
         wanted = {"references": references, "frames": frames, "candidates": candidates}
-        room = {name: max(size, self._room[name]) for name, size in wanted.items()}
-        if room != self._room:
-            self._room = room
+        room = {name: max(size, self.room[name]) for name, size in wanted.items()}
+        if room != self.room:
+            self.room = room
             self._allocate()
 
     # --- episodes -------------------------------------------------------------------------------
@@ -352,6 +353,10 @@ class Episodes:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore a copy and write the addresses of its own arrays and of its banks' rows."""
         self.__dict__.update(state)
+        self.link()
+
+    def link(self) -> None:
+        """Write the addresses of all arrays and rows anew, after some were replaced."""
         self.estimator.link(self.state)
         self._link()
         for i in range(self.num_routes):

@@ -1,21 +1,23 @@
 """Live routes: techniques run on images when the environment asks for their scores.
 
 A :class:`LiveRoute` stands where a score bank may stand. The map is described beforehand; the
-query's images come from a :class:`FrameSource`, and only what the policy runs is computed.
+query's images come from a frame source (:mod:`amusic_gym.envs.frames`), and only what the policy
+runs is computed.
 """
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.banks.bank import COST_MODELS, check_names, check_seconds, paper_seconds
 from amusic_gym.banks.ground_truth import GroundTruth, check_tolerance, resolve_ground_truth
+from amusic_gym.envs.frames import FrameSource, Indexed, as_frames
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
 from amusic_gym.utils.checks import flag
 from amusic_gym.utils.names import suggest
@@ -29,108 +31,6 @@ ENDLESS = 2**40
 
 REPEATS = 5
 """Runs of which the median is a technique's declared cost, after one that warms up."""
-
-
-@runtime_checkable
-class FrameSource(Protocol):
-    """Where the images of a query come from: a folder, a video, a camera.
-
-    Attributes:
-        name: what to call the route.
-        length: number of frames; None while it is not known. A video that decodes one frame ahead
-            sets it when it comes to the last one, and the episode ends there. Where it stays None,
-            the episode ends with a step of its own, on which nothing is processed.
-        random_access: whether any frame may be read at any time, by several readers and by a
-            reader in another process. If not, frames are read in rising order after a
-            :meth:`rewind`, each once, and only one route of one environment may drive the source.
-    """
-
-    @property
-    def name(self) -> str:
-        """What to call the route."""
-        ...
-
-    @property
-    def length(self) -> int | None:
-        """Number of frames, None while it is not known."""
-        ...
-
-    @property
-    def random_access(self) -> bool:
-        """Whether frames may be read in any order and by several readers."""
-        ...
-
-    def read(self, frame: int) -> Image | None:
-        """Image of a frame, which the source does not change afterwards; None after the last.
-
-        Raises:
-            ValueError: for an image that cannot be read, naming it.
-            FileNotFoundError: for one that is gone.
-        """
-        ...
-
-    def rewind(self) -> None:
-        """Begin anew: the next frame asked for counts from the start (a camera's: from now)."""
-        ...
-
-
-class Indexed(Protocol):
-    """Images with a number each: an image folder, or a list of arrays."""
-
-    def __len__(self) -> int:
-        """How many there are."""
-        ...
-
-    def __getitem__(self, index: int, /) -> Image:
-        """Image of a number from 0."""
-        ...
-
-
-class ImageSequence:
-    """Frame source of images that can be read in any order.
-
-    Args:
-        images: an image folder, or a list of images.
-        name: what to call the route.
-
-    Raises:
-        ValueError: for no image at all.
-    """
-
-    random_access = True
-
-    def __init__(self, images: Indexed, name: str = "images") -> None:
-        if len(images) == 0:
-            raise ValueError(f"{name}: no image; a route has at least one frame")
-        self.images = images
-        self.name = name
-        self.length: int | None = len(images)
-
-    def read(self, frame: int) -> Image | None:
-        """Image of a frame; None after the last."""
-        return self.images[frame] if frame < len(self.images) else None
-
-    def rewind(self) -> None:
-        """Nothing to do."""
-
-
-def as_frames(frames: str | os.PathLike[str] | FrameSource | Indexed) -> FrameSource:
-    """Turn what a user may give as the query's frames into a frame source.
-
-    Raises:
-        ValueError: for anything else.
-        FileNotFoundError: for a folder that is not there.
-    """
-    if isinstance(frames, str | os.PathLike):
-        from amusic_gym.routes.folders import ImageFolder
-
-        return ImageSequence(ImageFolder(frames), os.path.basename(os.path.abspath(frames)))
-    if isinstance(frames, FrameSource):
-        return frames
-    if hasattr(frames, "__len__") and hasattr(frames, "__getitem__"):
-        folder = getattr(frames, "path", None)
-        return ImageSequence(frames, folder.name) if folder else ImageSequence(frames)
-    raise ValueError(f"frames are {frames!r}; give a folder, a FrameSource or a list of images")
 
 
 class Map(Protocol):
@@ -170,7 +70,8 @@ class LiveRoute:
 
     Args:
         maps: the map, described by each technique.
-        frames: folder, :class:`FrameSource`, or images that can be indexed.
+        frames: folder, :class:`~amusic_gym.envs.frames.FrameSource`, images that can be indexed,
+            or an iterator of images.
         tolerance: places to either side of the true one that count as right. None only where
             ``ground_truth`` lists the true places itself.
         ground_truth: None: not known | what :class:`~amusic_gym.banks.bank.ScoreBank` takes.
@@ -197,7 +98,7 @@ class LiveRoute:
     def __init__(
         self,
         maps: Sequence[Map],
-        frames: str | os.PathLike[str] | FrameSource | Indexed,
+        frames: str | os.PathLike[str] | FrameSource | Indexed | Iterable[Image],
         *,
         tolerance: int | None = None,
         ground_truth: ArrayLike | GroundTruth | None = None,

@@ -71,6 +71,7 @@ class MapContents:
         names: R names of images.
         parts: lengths of the traverses that the map is joined of.
         positions: R of them; None where they are not known.
+        digest: of all that; "" before it is written.
     """
 
     name: str
@@ -80,6 +81,7 @@ class MapContents:
     names: Sequence[str]
     parts: Sequence[int]
     positions: Positions | None
+    digest: str = ""
 
 
 def check_destination(path: Path) -> None:
@@ -161,14 +163,14 @@ def _read(path: Path, manifest: Mapping[str, Any], verify: bool) -> MapContents:
     if sum(manifest["parts"]) != len(names) or len(images) != len(names):
         raise ValueError(f"{path}: its files are of another number of places; {_REBUILD}")
     positions = None
-    if (about := manifest["positions"]) is not None:
+    if (found := manifest["positions"]) is not None:
         columns = reading.read_array(path / POSITIONS)
-        headings = columns[:, -1] if about["headings"] else None
-        metres = columns[:, :-1] if about["headings"] else columns
-        zones = {zone: str(path) for zone in about["zones"]}
-        positions = Positions(metres, about["system"], headings, zones, str(path))
-    parts = manifest["parts"]
-    return MapContents(manifest["name"], techniques, descriptors, images, names, parts, positions)
+        headings = columns[:, -1] if found["headings"] else None
+        metres = columns[:, :-1] if found["headings"] else columns
+        zones = {zone: str(path) for zone in found["zones"]}
+        positions = Positions(metres, found["system"], headings, zones, str(path))
+    about = (manifest["name"], techniques, descriptors, images, names, manifest["parts"])
+    return MapContents(*about, positions, manifest["sha256"])
 
 
 def _blocks(path: Path, places: int) -> list[Stored]:

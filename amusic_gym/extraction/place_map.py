@@ -49,6 +49,7 @@ class PlaceMap:
         names: R names of images.
         parts: lengths of the traverses that it is joined of.
         positions: R of them; None where they are not known.
+        digest: of its content.
     """
 
     path: Path
@@ -59,6 +60,7 @@ class PlaceMap:
     names: tuple[str, ...]
     parts: tuple[int, ...]
     positions: Positions | None
+    digest: str
 
     @classmethod
     def load(
@@ -116,6 +118,7 @@ class PlaceMap:
             tuple(contents.names),
             tuple(contents.parts),
             contents.positions,
+            contents.digest,
         )
 
     def __len__(self) -> int:

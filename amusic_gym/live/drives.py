@@ -1,0 +1,270 @@
+"""A policy along a live route, frame by frame: the one loop under `navigate` and `Localiser`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amusic_gym.envs.live_route import LiveRoute
+from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.policies.protocol import Correction, Localiser, Policy, Rows, Selector, highest_z
+from amusic_gym.techniques.protocol import Image
+from amusic_gym.utils.states import Arrays, put_back, taken
+
+if TYPE_CHECKING:
+    from amusic_gym.envs.live_rows import LiveRows
+
+
+@dataclass(frozen=True, eq=False)
+class FrameResult:
+    """One frame of a drive: what ran, where the robot is, and how long it took.
+
+    Attributes:
+        frame: number of the frame, from 0.
+        image: the query image.
+        prediction: place, -1 before the first.
+        confidence: higher = surer.
+        similarity: z-score of the place in this frame's row of the technique that MuSIC trusted;
+            of a localiser, the largest in the rows it asked for; 0 where nothing ran.
+        p_correct: SIC-estimated correctness; None where the policy gives none.
+        technique: the one that MuSIC trusted, -1: none.
+        ran: (T,) bool, on the frame itself.
+        late_runs: (T,) after-the-fact runs before it.
+        selection: whether a selection was done before it.
+        run_milliseconds: (T,) wall time of the runs, after-the-fact ones included.
+        read_milliseconds: wall time until the image was there: disk, decoder or camera.
+        milliseconds: wall time of all the rest: the policy, the runs and the localisation.
+        techniques: T names.
+    """
+
+    frame: int
+    image: Image
+    prediction: int
+    confidence: float
+    similarity: float
+    p_correct: float | None
+    technique: int
+    ran: NDArray[np.bool_]
+    late_runs: NDArray[np.int64]
+    selection: bool
+    run_milliseconds: NDArray[np.float64]
+    read_milliseconds: float
+    milliseconds: float
+    techniques: tuple[str, ...]
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """Names of the techniques that ran on the frame."""
+        return tuple(n for n, on in zip(self.techniques, self.ran, strict=True) if on)
+
+
+class Drive(Protocol):
+    """A policy on its way along a live route."""
+
+    def begin(self) -> None:
+        """Forget everything; the next frame is the source's first."""
+        ...
+
+    def step(self, *, everything: bool = False) -> FrameResult | None:
+        """Take the next frame; None where the source has ended.
+
+        Args:
+            everything: whether all techniques run on it, whatever the policy wants.
+        """
+        ...
+
+    def save(self, arrays: Arrays) -> Any:
+        """What is remembered, see :func:`amusic_gym.utils.states.taken`."""
+        ...
+
+    def restore(self, saved: Any, arrays: Arrays) -> None:
+        """Go on from what was saved of a drive of the same policy, map and settings."""
+        ...
+
+
+def drive_along(
+    policy: Policy,
+    route: LiveRoute,
+    *,
+    statistic: str = SICSettings.statistic,
+    carry: bool | None = None,
+    discount: bool | None = None,
+    compute_weight: float | None = None,
+) -> Drive:
+    """A drive that is about to take its first frame; see `amusic_gym.live.navigation.navigate`."""
+    if isinstance(policy, Selector):
+        how = Correction.under(policy, statistic, carry, discount)
+        return _SelectorDrive(policy, route, how, compute_weight)
+    return _LocaliserDrive(policy, route)
+
+
+class _SelectorDrive:
+    """The policy chooses techniques, and a batch of one route does the rest."""
+
+    def __init__(
+        self, policy: Selector, route: LiveRoute, how: Correction, compute_weight: float | None
+    ) -> None:
+        from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+
+        needs = policy.needs
+        self._policy = policy
+        self._techniques = len(route.techniques)
+        self._options = {
+            "start": 0,
+            "compute_weight": 1.0 if compute_weight is None else compute_weight,
+        }
+        self._env = TechniqueSelectionVectorEnv(
+            1,
+            route,
+            slots=self._techniques,
+            reselection=needs.reselection,
+            coverage=needs.coverage,
+            allow_idle=needs.allow_idle,
+            **how._asdict(),
+            **needs.extra,
+        )
+        self.begin()
+
+    def begin(self) -> None:
+        self._observation, self._info = self._env.reset(options=self._options)
+        self._policy.reset(np.ones(1, np.bool_))
+        self._ended = False
+
+    def step(self, *, everything: bool = False) -> FrameResult | None:
+        if self._ended:
+            return None
+        drive = self._rows
+        begin, last = time.perf_counter(), drive.frame
+        action = self._policy.act(self._observation, self._info)
+        if everything:
+            action = np.array(action, np.bool_)
+            action[:, : self._techniques] = True
+        self._observation, _, terminated, truncated, self._info = self._env.step(action)
+        self._ended = bool(terminated[0] or truncated[0])
+        if drive.frame == last:
+            return None
+        elapsed = 1000.0 * (time.perf_counter() - begin)
+        return _seen(drive, elapsed, **_told(self._info, self._techniques))
+
+    @property
+    def _rows(self) -> LiveRows:
+        drive = self._env.task.episodes.drives[0]
+        assert drive is not None
+        return drive
+
+    def save(self, arrays: Arrays) -> Any:
+        episodes = self._env.task.episodes
+        parts = {
+            "batch": episodes.state,
+            "estimator": episodes.estimator.state,
+            "rows": self._rows,
+            "policy": self._policy,
+            "last": {"observation": self._observation, "info": self._info, "ended": self._ended},
+            "room": episodes.room,
+        }
+        return taken(parts, arrays, _KEPT)
+
+    def restore(self, saved: Any, arrays: Arrays) -> None:
+        episodes = self._env.task.episodes
+        parts = {
+            "batch": episodes.state,
+            "estimator": episodes.estimator.state,
+            "rows": self._rows,
+            "policy": self._policy,
+            "last": {},
+            "room": episodes.room,
+        }
+        found = put_back(parts, saved, arrays, "drive")
+        self._observation, self._info, self._ended = found["last"].values()
+        episodes.room = found["room"]
+        episodes.link()
+
+
+_KEPT = frozenset({"route", "batch", "_turn"})
+"""Attributes that are the new drive's own."""
+
+
+def _told(info: dict[str, Any], techniques: int) -> dict[str, Any]:
+    """What the infos of a batch of one say of the frame."""
+    selection = info.get("selection")
+    none = np.zeros(techniques, np.int64)
+    return {
+        "prediction": int(info["prediction"][0]),
+        "confidence": float(info["confidence"][0]),
+        "similarity": float(info["similarity"][0]),
+        "p_correct": float(info["p_correct"][0]),
+        "technique": int(info["technique"][0]),
+        "ran": info["ran"][0],
+        "late_runs": none if selection is None else selection["late_runs"][0],
+        "selection": selection is not None and bool(selection["happened"][0]),
+    }
+
+
+class _LocaliserDrive:
+    """The policy gives the places itself."""
+
+    def __init__(self, policy: Localiser, route: LiveRoute) -> None:
+        self._policy, self._route = policy, route
+        self.begin()
+
+    def begin(self) -> None:
+        self._rows = self._route.drive(0, SICSettings(), 0)
+        self._policy.reset(self._route.references, len(self._route.techniques))
+        self._frame = 0
+
+    def step(self, *, everything: bool = False) -> FrameResult | None:
+        drive, techniques = self._rows, len(self._route.techniques)
+        begin = time.perf_counter()
+        if drive.frames is not None and self._frame >= drive.frames:
+            return None
+        if not drive.advance(self._frame):
+            return None
+        ran = np.zeros(techniques, np.bool_)
+        rows: Rows = {}
+
+        def run(technique: int) -> NDArray[np.float32]:
+            ran[technique] = True
+            rows[technique] = row = drive.run(technique, drive.frame)
+            return row.copy()  # its memory will hold another frame
+
+        for technique in range(techniques if everything else 0):
+            run(technique)
+        place, confidence = self._policy.locate(self._frame, run)
+        self._frame += 1
+        return _seen(
+            drive,
+            1000.0 * (time.perf_counter() - begin),
+            prediction=place,
+            confidence=confidence,
+            similarity=highest_z(rows.values(), place),
+            p_correct=None,
+            technique=-1,
+            ran=ran,
+            late_runs=np.zeros(techniques, np.int64),
+            selection=False,
+        )
+
+    def save(self, arrays: Arrays) -> Any:
+        parts = {"rows": self._rows, "policy": self._policy, "frame": self._frame}
+        return taken(parts, arrays, _KEPT)
+
+    def restore(self, saved: Any, arrays: Arrays) -> None:
+        parts = {"rows": self._rows, "policy": self._policy, "frame": 0}
+        self._frame = put_back(parts, saved, arrays, "drive")["frame"]
+
+
+def _seen(drive: LiveRows, elapsed: float, **told: Any) -> FrameResult:
+    """A frame with what the drive knows of it; ``elapsed`` milliseconds in all."""
+    return FrameResult(
+        frame=drive.frame,
+        image=drive.image(),
+        run_milliseconds=drive.milliseconds + drive.late_milliseconds,
+        read_milliseconds=drive.read_milliseconds,
+        milliseconds=elapsed - drive.read_milliseconds,
+        techniques=drive.route.techniques,
+        **told,
+    )
