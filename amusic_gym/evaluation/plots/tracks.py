@@ -13,7 +13,7 @@ from amusic_gym.utils.colours import CORRECT_COLOUR, WRONG_COLOUR
 
 
 def draw_matches(bank: ScoreBank, here: Positions, there: Positions, path: str | Path) -> Path:
-    """For each technique, a line from each frame to the place that its row alone ranks first.
+    """For each technique, whether its row alone ranks a true place first, and a line where not.
 
     Args:
         bank: scores and ground truth.
@@ -35,16 +35,16 @@ def draw_matches(bank: ScoreBank, here: Positions, there: Positions, path: str |
             axes.plot(*places.T, color=GREY, linewidth=2.5, label="map")
             axes.plot(*frames.T, color=INK, linewidth=0.8, label="run")
             ends = np.stack([frames, places[best]], axis=1)  # (Q, 2, 2)
+            lines = LineCollection(list(ends[~right]), colors=WRONG_COLOUR, linewidths=0.6)
+            axes.add_collection(lines)
             for chosen, colour, name in (
-                (~right, WRONG_COLOUR, "wrong"),
                 (right, CORRECT_COLOUR, "right"),
+                (~right, WRONG_COLOUR, "wrong"),
             ):
-                lines = LineCollection(
-                    list(ends[chosen]), colors=colour, linewidths=0.6, label=name
+                axes.scatter(
+                    frames[chosen, 0], frames[chosen, 1], s=7, color=colour, label=name, zorder=3
                 )
-                axes.add_collection(lines)
             axes.set(title=f"{technique}: {percent(right.mean())} right", xlabel="metres")
             axes.set_aspect("equal", "datalim")
-            if t == 0:
-                axes.legend(loc="best")
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return Path(path)
