@@ -108,7 +108,7 @@ def test_what_is_added_is_as_if_it_had_been_there(world, town):
 
 def test_thumbnails_are_the_images_made_small(world, tmp_path):
     folder = make_images(tmp_path / "large", 2, size=(400, 640))
-    build_map(folder, SPECS[:1], tmp_path / "m", seconds=SECONDS, cache=tmp_path / "c")
+    build_map(folder, SPECS[:1], tmp_path / "m", seconds={"Tiny": 1}, cache=tmp_path / "c")
     found = PlaceMap.load(tmp_path / "m")
     assert found.thumbnails[1].shape == (200, 320, 3)
     assert len(found.thumbnails) == 2
@@ -246,6 +246,12 @@ def test_a_map_replaces_no_other_folder(world, tmp_path):
         build_map(world / "more", SPECS, tmp_path / "other", cache=tmp_path / "cache")
     with pytest.raises(ValueError, match="2 positions for 9 images"):
         build_map(world / "more", SPECS, tmp_path / "m", positions=line(2))
+    with pytest.raises(ValueError, match="unknown technique 'Tyni': did you mean 'Tiny'"):
+        build_map(world / "more", SPECS, tmp_path / "m", seconds={"Tyni": 1.0})
+    with pytest.raises(ValueError, match="seconds of technique 'Tiny' are"):
+        build_map(world / "more", SPECS, tmp_path / "m", seconds={"Tiny": -1.0})
+    with pytest.raises(ValueError, match="Tiny"):
+        build_map(world / "more", [Tiny(), Tiny()], tmp_path / "m")
     with pytest.raises(ValueError, match="0 techniques; give 1 to"):
         build_map(world / "more", [], tmp_path / "m")
 
@@ -307,6 +313,7 @@ def test_positions_of_the_map_say_what_is_right(amusic, world, tmp_path):
     assert "right places: 100.0%" in out
     for extra, words in (
         (["--techniques", "hog"], "--techniques does not go with --map"),
+        (["--query", "0", "--every-metres", 2], "--every-metres needs a folder of images"),
         (["--query-positions", tmp_path / "q.csv"], "has no position of"),
         ([], "--within and --query-positions: what is right needs"),
     ):

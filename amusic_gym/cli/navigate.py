@@ -165,8 +165,10 @@ def _frames(args: argparse.Namespace, stack: ExitStack) -> tuple[FrameSource, Po
     if Path(query).is_dir():
         run = run_of(args, stack)
         return ImageSequence(run.folder, Path(query).resolve().name), run.positions
-    if args.query_positions is not None:
-        raise ValueError(f"--query-positions needs a folder of images, but --query is {query}")
+    for name in ("query_positions", "every_metres"):
+        if getattr(args, name) is not None:
+            option = name.replace("_", "-")
+            raise ValueError(f"--{option} needs a folder of images, but --query is {query}")
     if is_camera:
         return Camera(int(query)), None
     every = 1 if args.every is None else whole("--every", args.every, 1)

@@ -94,7 +94,7 @@ def extract(
     made = [make_technique(each) if isinstance(each, str) else each for each in techniques]
     further = [pair.technique for pair in descriptors]
     names = check_names([*(technique.name for technique in made), *further])
-    declared = _declared(seconds or {}, names)
+    declared = declared_seconds(seconds or {}, names)
     for each in further:
         if each not in declared:
             raise ValueError(
@@ -183,7 +183,12 @@ def _check_writable(out: Path) -> None:
         ) from error
 
 
-def _declared(seconds: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
+def declared_seconds(seconds: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
+    """The seconds that a user gives for some techniques, by name.
+
+    Raises:
+        ValueError: for an unknown name, and for what is no number above 0.
+    """
     for name in seconds:
         if name not in names:
             raise ValueError("seconds: " + suggest("technique", name, names))

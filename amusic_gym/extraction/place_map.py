@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from amusic_gym.banks.bank import check_names
 from amusic_gym.extraction import map_files
 from amusic_gym.extraction.blocks import Stored, aligned
 from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.code import identity
 from amusic_gym.extraction.describe import ExtractionPlan, describe, images_of
 from amusic_gym.extraction.executors import make_executor
+from amusic_gym.extraction.extract import declared_seconds
 from amusic_gym.extraction.map import DescribedMap
 from amusic_gym.extraction.map_files import DescribedBy, MapContents
 from amusic_gym.extraction.progress import Progress
@@ -174,8 +176,10 @@ def build_map(
         raise ValueError(f"{len(positions)} positions for {len(folder)} images; give one for each")
     if not 0 < len(made) <= map_files.MOST_TECHNIQUES:
         raise ValueError(f"{len(made)} techniques; give 1 to {map_files.MOST_TECHNIQUES}")
+    names = check_names([one.name for _, one in made])
+    declared = declared_seconds(seconds or {}, names)
     map_files.check_destination(Path(out))
-    described = _Described.of(folder, [one for _, one in made], cache, executor, progress, seconds)
+    described = _Described.of(folder, [one for _, one in made], cache, executor, progress, declared)
     about = [
         DescribedBy(
             spec, None if spec not in given else str(given[spec]), cost, identity(technique)
@@ -231,7 +235,7 @@ def append_to_map(
             f" {'without' if there.positions is None else 'with their positions (--positions)'}"
         )
     both = None if positions is None else there.positions.joined(positions)  # type: ignore[union-attr]
-    described = _Described.of(folder, made, cache, executor, progress, None)
+    described = _Described.of(folder, made, cache, executor, progress, {})
     blocks = [
         map_files.joined(pair) for pair in zip(there.descriptors, described.blocks, strict=True)
     ]
@@ -273,7 +277,7 @@ class _Described:
         cache: str | os.PathLike[str] | Cache | None,
         executor: str,
         progress: bool,
-        seconds: Mapping[str, float] | None,
+        seconds: Mapping[str, float],
     ) -> _Described:
         images, say = images_of(folder), Progress(progress)
         blocks, costs = [], []
@@ -284,7 +288,7 @@ class _Described:
                 plan = ExtractionPlan(one, images, images)
                 with where.workers(one) as workers:
                     stored = describe(plan, store, workers, say, query=False)
-                    cost = (seconds or {}).get(one.name)
+                    cost = seconds.get(one.name)
                     if cost is None:
                         cost = known_cost(plan, store, workers, say, again=False).seconds
                 blocks.append(stored)
