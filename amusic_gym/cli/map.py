@@ -120,7 +120,7 @@ def _add_info(parser: Parser) -> None:
 def _add_images(parser: Parser) -> None:
     what = "the reference traverse: a folder of images, or a video"
     parser.add_argument("images", type=Path, metavar="IMAGES|VIDEO", help=what)
-    about = "where the images were taken: a table, poses of TUM or KITTI, or their EXIF"
+    about = "where the images were taken: a table, poses of TUM or KITTI, a ROS bag, their EXIF"
     parser.add_argument("--positions", metavar="FILE|exif", help=about)
     parser.add_shared("--order", "--skip-damaged", "--every", "--fps", "--every-metres")
     parser.add_shared("--cache", "--executor")

@@ -59,7 +59,8 @@ SHARED: dict[str, dict[str, Any]] = {
     "--reference": {"type": Path, "metavar": "DIR|VIDEO", "help": "the map's images"},
     "--reference-positions": {
         "metavar": "FILE|exif",
-        "help": "where the map's images were taken: a table, poses of TUM or KITTI, or their EXIF",
+        "help": "where the map's images were taken: a table, poses of TUM or KITTI, a ROS bag,"
+        " or their EXIF",
     },
     "--seconds": {**MANY, "metavar": "NAME=S", "help": "of one run (default: measured here)"},
     "--seed": {

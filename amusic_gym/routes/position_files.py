@@ -1,4 +1,4 @@
-"""Positions of images from files: CSV, EXIF, and the pose files of TUM and KITTI."""
+"""Positions of images from files: CSV, EXIF, the pose files of TUM and KITTI, and ROS bags."""
 
 from __future__ import annotations
 
@@ -7,14 +7,12 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amusic_gym.banks.truth_files import numbers_by_name
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.positions import (
     GEOGRAPHIC,
@@ -24,6 +22,8 @@ from amusic_gym.routes.positions import (
     from_degrees,
     zone_of,
 )
+from amusic_gym.routes.ros_positions import is_bag, read_bag
+from amusic_gym.routes.tracks import Track, heading_of, in_seconds, refuse_missing
 from amusic_gym.utils import reading
 
 EXIF = "exif"
@@ -45,9 +45,6 @@ COLUMNS = {
 }
 """What a column of a table holds -> names for it, in upper or lower case."""
 
-GAP = 1.0
-"""Seconds that an image may be taken before or after the nearest position in time."""
-
 _PAIRS = {
     GEOGRAPHIC: ("latitude", "longitude"),
     PROJECTED: ("easting", "northing"),
@@ -55,126 +52,7 @@ _PAIRS = {
 }
 _TUM, _KITTI = 8, 12  # numbers of a line
 _MOST_BYTES = 2**30
-_NAMED = 3  # images that a refusal names before it only counts
-_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # clock times above these: nano, micro, milli
 _GPS, _LATITUDE, _LONGITUDE, _DIRECTION = 0x8825, 2, 4, 17  # tags of EXIF
-
-
-@dataclass(frozen=True, eq=False)
-class Track:
-    """Positions of a file, before they are those of images.
-
-    Attributes:
-        positions: one per row.
-        names: of images; None where rows have none.
-        numbers: (N,) of frames, counted from 0; None where rows have none.
-        seconds: (N,), rising where they are what tells an image; None where rows have none.
-    """
-
-    positions: Positions
-    names: Sequence[str] | None = None
-    numbers: NDArray[np.float64] | None = None
-    seconds: NDArray[np.float64] | None = None
-
-    def of_images(self, folder: ImageFolder) -> Positions:
-        """The position of each image: by name, by number, by the time in its name, or by order.
-
-        Raises:
-            ValueError: for images without one, naming some.
-        """
-        whole = folder.complete or folder
-        kept = list(folder.kept) or range(len(whole))
-        if self.names is not None:
-            return self._by_name(folder)
-        if self.numbers is not None:
-            return self._between("frame", self.numbers, np.array(kept), folder.names, 0.0)
-        if self.seconds is not None:
-            taken = _in_seconds(self._stamps_of(folder))
-            return self._between("second", self.seconds, taken, folder.names, GAP)
-        if len(self.positions) != len(whole):
-            raise ValueError(
-                f"{self.positions.source} has {len(self.positions)} positions without names, for"
-                f" {len(whole)} images of {folder.path}; give one for each, in their order"
-            )
-        return self.positions.take(kept)
-
-    def of_frames(self, numbers: ArrayLike, seconds: ArrayLike, what: str) -> Positions:
-        """The position of each frame of a video: by its number, or by its time in the video.
-
-        Args:
-            numbers: (n,) of frames, counted from 0.
-            seconds: (n,) since the first frame.
-            what: the video.
-
-        Raises:
-            ValueError: for a file that names images, and for frames beyond its rows.
-        """
-        number, taken = np.asarray(numbers, np.float64), np.asarray(seconds, np.float64)
-        named = [f"frame {int(each)}" for each in number]
-        if self.numbers is not None:
-            return self._between("frame", self.numbers, number, named, 0.0)
-        if self.seconds is not None:
-            return self._between("second", self.seconds, taken, named, GAP)
-        raise ValueError(
-            f"{self.positions.source} has neither frame numbers nor times, so it says nothing of"
-            f" the frames of {what}; add a column 'frame', or 'time' in seconds since the first one"
-        )
-
-    def _by_name(self, folder: ImageFolder) -> Positions:
-        known = numbers_by_name(self.names or ())
-        found, missing = [], []
-        for name in folder.names:
-            keys = (name, Path(name).name, Path(name).stem)
-            at = next((known[key] for key in keys if known.get(key) is not None), None)
-            found.append(at)
-            missing += [name] if at is None else []
-        _refuse_missing(self.positions.source, missing, f"images of {folder.path}")
-        return self.positions.take(found)  # type: ignore[arg-type]
-
-    def _stamps_of(self, folder: ImageFolder) -> list[float]:
-        stems = [Path(name).stem for name in folder.names]
-        unread = [stem for stem in stems if not re.fullmatch(r"\d+(\.\d+)?", stem)]
-        if unread:
-            raise ValueError(
-                f"{self.positions.source} tells positions by time, but {folder.path} has names such"
-                f" as {unread[0]} that are no time; add a column 'name' to it"
-            )
-        return [float(stem) for stem in stems]
-
-    def _between(
-        self,
-        unit: str,
-        rows: NDArray[np.float64],
-        wanted: NDArray[Any],
-        named: Sequence[str],
-        gap: float,
-    ) -> Positions:
-        """Positions at numbers or times, on the straight line between the rows around them."""
-        source = self.positions.source
-        if (np.diff(rows) <= 0).any():
-            at = int(np.argmax(np.diff(rows) <= 0)) + 1
-            raise ValueError(
-                f"{source}: row {at} is of {unit} {rows[at]:.6g}, after {rows[at - 1]:.6g}; sort"
-                " the rows, each once"
-            )
-        after = np.clip(np.searchsorted(rows, wanted), 1, max(len(rows) - 1, 1))
-        nearest = np.min(
-            [abs(rows[at.clip(max=len(rows) - 1)] - wanted) for at in (after - 1, after)], axis=0
-        )
-        inside = (wanted >= rows[0]) & (wanted <= rows[-1])
-        lost = np.flatnonzero(nearest > gap if gap else ~inside)
-        _refuse_missing(source, [named[at] for at in lost.tolist()], "images")
-
-        def drawn(values: NDArray[np.float64]) -> NDArray[np.float64]:
-            return np.stack([np.interp(wanted, rows, each) for each in values.T], axis=1)
-
-        headings = self.positions.headings
-        if headings is not None:
-            turned = np.radians(headings)
-            east, north = drawn(np.stack([np.sin(turned), np.cos(turned)], axis=1)).T
-            headings = np.degrees(np.arctan2(east, north))
-        given = self.positions
-        return Positions(drawn(given.metres), given.system, headings, given.zones, source)
 
 
 def positions_of(source: str | os.PathLike[str], folder: ImageFolder) -> Positions:
@@ -188,7 +66,7 @@ def positions_of(source: str | os.PathLike[str], folder: ImageFolder) -> Positio
 
 
 def read_track(path: str | os.PathLike[str]) -> Track:
-    """Positions of a text file.
+    """Positions of a text file, or of a ROS bag (:mod:`amusic_gym.routes.ros_positions`).
 
     A first line of names makes it a table (`COLUMNS`); lines of 8 numbers are TUM's poses (time,
     position, quaternion), of 12 numbers KITTI's (the upper three rows of a pose matrix). Those say
@@ -198,6 +76,8 @@ def read_track(path: str | os.PathLike[str]) -> Track:
         FileNotFoundError: when there is no such file.
         ValueError: for anything else, with the line.
     """
+    if is_bag(path):
+        return read_bag(path)
     path = Path(path)
     try:
         text = reading.read_regular(path, _MOST_BYTES).decode("utf-8-sig")
@@ -262,7 +142,7 @@ def _from_table(path: Path, header: Mapping[str, int], rows: Sequence[Sequence[s
     zones = {zone_of(text[:-1].strip(), text[-1:]): str(path) for text in texts}
     positions = Positions(metres, system, headings, zones, str(path))
     numbers = column("number") if "number" in header else None
-    seconds = _in_seconds(column("seconds")) if "seconds" in header else None
+    seconds = in_seconds(column("seconds")) if "seconds" in header else None
     return Track(positions, names, numbers, seconds)
 
 
@@ -315,16 +195,8 @@ def _from_poses(path: Path, rows: Sequence[Sequence[str]]) -> Track:
         headings = np.degrees(np.arctan2(-right[:, 2], right[:, 0]))
         return Track(Positions(matrices[:, :, 3], LOCAL, headings, {}, str(path)))
     x, y, z, w = values[:, 4:].T
-    headings = -np.degrees(np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z)))
-    positions = Positions(values[:, 1:4], LOCAL, headings, {}, str(path))
-    return Track(positions, seconds=_in_seconds(values[:, 0]))
-
-
-def _in_seconds(stamps: ArrayLike) -> NDArray[np.float64]:
-    """Clock times in seconds; those in nano-, micro- and milliseconds are known by their size."""
-    values = np.asarray(stamps, np.float64)
-    largest = abs(values).max(initial=0.0)
-    return values * next((unit for least, unit in _UNITS if largest > least), 1.0)
+    positions = Positions(values[:, 1:4], LOCAL, heading_of(x, y, z, w), {}, str(path))
+    return Track(positions, seconds=in_seconds(values[:, 0]))
 
 
 def _from_exif(folder: ImageFolder) -> Positions:
@@ -341,7 +213,7 @@ def _from_exif(folder: ImageFolder) -> Positions:
         missing += [] if np.isfinite(place).all() else [name]
         found.append(place)
         headings.append(float(gps.get(_DIRECTION, math.nan)))
-    _refuse_missing(f"{folder.path}: EXIF data", missing, "images")
+    refuse_missing(f"{folder.path}: EXIF data", missing, "images")
     north, east = np.array(found).T
     _check_degrees(folder.path, north, east)
     known = np.array(headings) if np.isfinite(headings).all() else None
@@ -353,12 +225,3 @@ def _angle(gps: Mapping[int, Any], tag: int) -> float:
     degrees, minutes, seconds = (float(part) for part in gps[tag])
     angle = degrees + minutes / 60 + seconds / 3600
     return -angle if str(gps[tag - 1]) in "SW" else angle
-
-
-def _refuse_missing(source: str, missing: Sequence[str], what: str) -> None:
-    if missing:
-        more = f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
-        raise ValueError(
-            f"{source} has no position of {len(missing)} {what}: {', '.join(missing[:_NAMED])}"
-            f"{more}; add them, or leave these images out (--order)"
-        )

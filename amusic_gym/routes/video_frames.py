@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from amusic_gym.routes.folders import ImageFolder
-from amusic_gym.routes.position_files import Track
 from amusic_gym.routes.positions import Positions
+from amusic_gym.routes.tracks import Track
 from amusic_gym.routes.video import VideoFile
 from amusic_gym.utils import storage
 
