@@ -101,6 +101,19 @@ def test_a_video_by_metres_has_frames_so_far_apart(run, world):
         assert "right within 15 m: 4 of 4 frames have a place; tolerance 0 places" in out
 
 
+def test_descriptors_from_elsewhere_take_positions_too(amusic, world):
+    for seed, name in enumerate(("map", "run")):
+        np.save(world / f"{name}.npy", np.random.default_rng(seed).random((COUNT, 5), np.float32))
+    given = ["--seconds", "Own=1", "--metric", "cosine", "--within", 10, "--out", world / "bank"]
+    for side, name in (("reference", "map"), ("query", "run")):
+        given += [f"--{side}", f"Own={world / name}.npy", f"--{side}-images", world / name]
+        given += [f"--{side}-positions", world / "places.csv"]
+    code, _, err = amusic("bank", "descriptors", *given)
+    assert (code, err) == (0, "")
+    bank = ScoreBank.load(world / "bank")
+    assert (bank.tolerance, np.diff(bank.truth.indptr).tolist()) == (1, [2, *[3] * 6, 2])
+
+
 def test_frames_of_a_video_lie_where_their_time_stamps_say(world, tmp_path):
     (tmp_path / "t.csv").write_text("time,x,y\n0,0,0\n0.7,70,0\n")
     track = read_track(tmp_path / "t.csv")

@@ -157,31 +157,26 @@ class _SelectorDrive:
         return drive
 
     def save(self, arrays: Arrays) -> Any:
-        episodes = self._env.task.episodes
-        parts = {
-            "batch": episodes.state,
-            "estimator": episodes.estimator.state,
-            "rows": self._rows,
-            "policy": self._policy,
-            "last": {"observation": self._observation, "info": self._info, "ended": self._ended},
-            "room": episodes.room,
-        }
-        return taken(parts, arrays, _KEPT)
+        last = {"observation": self._observation, "info": self._info, "ended": self._ended}
+        return taken({**self._parts(), "last": last}, arrays, _KEPT)
 
     def restore(self, saved: Any, arrays: Arrays) -> None:
+        found = put_back({**self._parts(), "last": {}}, saved, arrays, "drive")
+        self._observation, self._info, self._ended = found["last"].values()
         episodes = self._env.task.episodes
-        parts = {
+        episodes.room = found["room"]
+        episodes.link()
+
+    def _parts(self) -> dict[str, Any]:
+        """What changes on the way."""
+        episodes = self._env.task.episodes
+        return {
             "batch": episodes.state,
             "estimator": episodes.estimator.state,
             "rows": self._rows,
             "policy": self._policy,
-            "last": {},
             "room": episodes.room,
         }
-        found = put_back(parts, saved, arrays, "drive")
-        self._observation, self._info, self._ended = found["last"].values()
-        episodes.room = found["room"]
-        episodes.link()
 
 
 _KEPT = frozenset({"route", "batch", "_turn"})
