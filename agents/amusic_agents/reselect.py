@@ -122,6 +122,6 @@ class ReselectSelector(NetworkSelector):
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
         """The selected techniques and the re-select bit, (N, S + 1)."""
         self._held.note(info)
-        with torch.no_grad():
+        with torch.inference_mode():
             chance = torch.sigmoid(self.network.logits(torch.from_numpy(observation))).numpy()
         return self._held.actions(chance > (info["frame"] + 1) * GOLDEN_RATIO % 1.0)

@@ -30,7 +30,7 @@ class TrainedSelector(NetworkSelector):
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
         """The more likely value of every bit."""
-        with torch.no_grad():
+        with torch.inference_mode():
             logits: torch.Tensor = self.network.logits(torch.from_numpy(observation))
         return logits.numpy() > 0.0
 

@@ -132,7 +132,7 @@ class SubsetSelector(NetworkSelector):
         """The members of the best subset, (N, S)."""
         seen = torch.from_numpy(observation)
         present = presence(seen)
-        with torch.no_grad():
+        with torch.inference_mode():
             allowed = valid(present, self.needs.allow_idle)
             ratings = self.network(seen).masked_fill(~allowed, -torch.inf)
         return members(present.shape[1])[ratings.argmax(1)].numpy()
