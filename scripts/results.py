@@ -16,7 +16,8 @@ from typing import Any
 
 from _cli import Parser, destination, pairs, run
 
-from amusic_gym.banks.bank import COST_MODELS, ScoreBank
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.costs import COST_MODELS
 from amusic_gym.evaluation.study import figures
 from amusic_gym.evaluation.study.rivals import study_rivals
 from amusic_gym.evaluation.study.tables import tables

@@ -14,7 +14,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amusic_gym.banks.bank import PAPER_SECONDS, GroundTruth, ScoreBank
+from amusic_gym.banks.bank import GroundTruth, ScoreBank
+from amusic_gym.banks.costs import PAPER_SECONDS
 from amusic_gym.banks.importers import from_arrays, from_vprbench
 from amusic_gym.utils.names import suggest
 

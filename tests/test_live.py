@@ -31,7 +31,7 @@ from live_cases import (
     traverse,
 )
 
-from amusic_gym.banks.bank import PAPER_SECONDS
+from amusic_gym.banks.costs import PAPER_SECONDS
 from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.envs.frames import ImageSequence, as_frames
 from amusic_gym.envs.live_route import LiveRoute

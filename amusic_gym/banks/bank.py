@@ -6,30 +6,23 @@ import os
 import threading
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.banks import bank_files
+from amusic_gym.banks.costs import COST_MODELS, check_seconds, paper_seconds
 from amusic_gym.banks.ground_truth import GroundTruth, resolve_ground_truth
+from amusic_gym.banks.scores import as_scores, check_names, check_rows, read_only
 from amusic_gym.utils.names import suggest
 
 if TYPE_CHECKING:
     from amusic_gym.banks.rows import PreparedRows
 
-_Number = TypeVar("_Number", bound=np.generic)
 
-__all__ = ["COST_MODELS", "PAPER_SECONDS", "GroundTruth", "ScoreBank"]
+__all__ = ["GroundTruth", "ScoreBank"]
 
-COST_MODELS = ("measured", "paper", "runs")
-"""``measured``: the bank's seconds; ``paper``: the paper's averages; ``runs``: 1 for each run."""
-
-PAPER_SECONDS = {"HOG": 0.045, "CALC": 0.165, "CoHOG": 0.707, "NetVLAD": 0.722}
-"""Seconds per frame, averaged over the paper's data sets (A-MuSIC, last column of the table)."""
-
-SHORTEST, LONGEST = 1e-12, 1e12
-"""Seconds of one run: sums and ratios of these are exact enough, and never infinite."""
 
 _preparing = threading.Lock()
 """Environments in several threads that share a bank share what is prepared of it, too."""
@@ -82,7 +75,7 @@ class ScoreBank:
         source: str = "",
         costs: str = "measured",
     ) -> None:
-        stored = _as_scores(scores)
+        stored = as_scores(scores)
         names = check_names(techniques, len(stored))
         truth, places = resolve_ground_truth(ground_truth, tolerance, *stored.shape[1:])
         self._set(stored, names, check_seconds(seconds, names), places, truth, name, source, costs)
@@ -181,8 +174,8 @@ class ScoreBank:
         view = self._view()
         view.index = self.index[at]
         view.techniques = chosen
-        view.seconds = _read_only(self.seconds[at])
-        view._given = (self._given[0], _read_only(self._given[1][at]))
+        view.seconds = read_only(self.seconds[at])
+        view._given = (self._given[0], read_only(self._given[1][at]))
         view._prepared = {}
         return view
 
@@ -201,7 +194,7 @@ class ScoreBank:
         if model == given:
             view.seconds = seconds
         elif model == "runs":
-            view.seconds = _read_only(np.ones(len(self.techniques)))
+            view.seconds = read_only(np.ones(len(self.techniques)))
         elif model == "paper":
             view.seconds = paper_seconds(self.techniques)
         else:
@@ -355,130 +348,6 @@ class ScoreBank:
             f"ScoreBank({self.name!r}, techniques={self.techniques}, shape={self.shape}, "
             f"tolerance={self.tolerance}, costs={self.costs!r}, path={str(self.path)!r})"
         )
-
-
-def check_names(techniques: Sequence[str], count: int | None = None) -> tuple[str, ...]:
-    """``techniques`` as a tuple of different, usable names.
-
-    Args:
-        techniques: the names.
-        count: how many there must be; None: at least one.
-
-    Raises:
-        ValueError: for another number of names, or a name that is empty, repeated, or ambiguous
-            in a command's arguments.
-    """
-    if isinstance(techniques, str):
-        raise ValueError(f"techniques is the text {techniques!r}; give a list of names")
-    names = tuple(techniques)
-    if not names:
-        raise ValueError("no technique; give at least one")
-    if count is not None and len(names) != count:
-        raise ValueError(f"{len(names)} technique names for {count} score matrices")
-    for name in names:
-        if not isinstance(name, str) or not name.strip():
-            raise ValueError(f"technique name {name!r} is empty or not text; give it a name")
-        if name != name.strip() or not name.isprintable() or set(name) & set("+,:=/\\"):
-            raise ValueError(
-                f"technique name {name!r} holds one of + , : = / \\, a control character or "
-                "outer spaces, which commands and file names use; rename it"
-            )
-        if names.count(name) > 1:
-            raise ValueError(f"technique {name!r} is named twice; give each a name of its own")
-    return names
-
-
-def check_seconds(seconds: ArrayLike, techniques: Sequence[str]) -> NDArray[np.float64]:
-    """(T,) float64 seconds per run, refused unless there is a positive number per technique."""
-    try:
-        array = np.array(seconds, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"seconds are {seconds!r}; give one number per technique") from None
-    if array.shape != (len(techniques),):
-        raise ValueError(
-            f"seconds have shape {array.shape}; give one number for each of the "
-            f"{len(techniques)} techniques"
-        )
-    for name, value in zip(techniques, array, strict=True):
-        if not SHORTEST <= value <= LONGEST:
-            raise ValueError(
-                f"seconds of technique {name!r} are {value}; give a finite number above 0, from "
-                f"{SHORTEST:g} to {LONGEST:g}"
-            )
-    return _read_only(array)
-
-
-def paper_seconds(techniques: Sequence[str]) -> NDArray[np.float64]:
-    """(T,) seconds of the paper's techniques.
-
-    Raises:
-        ValueError: for a technique that the paper does not time.
-    """
-    by_name = {name.casefold(): seconds for name, seconds in PAPER_SECONDS.items()}
-    for name in techniques:
-        if name.casefold() not in by_name:
-            raise ValueError(
-                f"the paper gives no time for technique {name!r}, only for "
-                f"{', '.join(PAPER_SECONDS)}; use costs 'measured' or 'runs'"
-            )
-    return _read_only(np.array([by_name[name.casefold()] for name in techniques]))
-
-
-def check_rows(technique: str, rows: NDArray[np.float32], first: int = 0) -> None:
-    """Refuse score rows (n, R), of the frames from ``first`` on, with NaN or +∞.
-
-    Raises:
-        ValueError: naming technique, frame and place.
-    """
-    for frame, row in enumerate(rows, first):
-        if not (row < np.inf).all():
-            place = int(np.argmin(row < np.inf))
-            raise ValueError(
-                f"score of technique {technique!r} at frame {frame}, place {place} is "
-                f"{row[place]} (as float32); every score must be finite, or −∞ for a "
-                "place that is no candidate: compute that row again"
-            )
-
-
-def floored(rows: NDArray[Any]) -> NDArray[Any]:
-    """Rows (..., R) in which places that are no candidates have the row's lowest score; 0 if all.
-
-    For what ranks or draws rows and knows of no −∞; the same array where there is none.
-    """
-    masked = np.isneginf(rows)
-    if not masked.any():
-        return rows
-    lowest = np.where(masked, np.inf, rows).min(axis=-1, keepdims=True)
-    return np.where(masked, np.where(np.isposinf(lowest), 0, lowest), rows).astype(rows.dtype)
-
-
-def _as_scores(scores: ArrayLike) -> NDArray[np.float32]:
-    array = np.asarray(scores)
-    if array.ndim != 3 or array.size == 0:
-        raise ValueError(
-            f"scores have shape {array.shape}; give [technique, query, reference] with at least "
-            "one of each"
-        )
-    if array.dtype.kind not in "fiub":
-        raise ValueError(f"scores have dtype {array.dtype}; give real numbers")
-    mapped = isinstance(scores, np.memmap) and scores.mode == "r"
-    if mapped and array.dtype == np.float32 and array.flags.c_contiguous:
-        return array
-    return _read_only(as_float32(array))
-
-
-def as_float32(scores: NDArray[Any]) -> NDArray[np.float32]:
-    """A copy in float32; what is too large for it becomes NaN, not ±∞, and is refused as that."""
-    with np.errstate(over="ignore"):
-        kept: NDArray[np.float32] = np.array(scores, dtype=np.float32, order="C")
-    if scores.dtype != np.float32:
-        kept[np.isneginf(kept) & (scores > -np.inf)] = np.nan
-    return kept
-
-
-def _read_only(array: NDArray[_Number]) -> NDArray[_Number]:
-    array.flags.writeable = False
-    return array
 
 
 def _reload(path: str, fingerprint: str, techniques: tuple[str, ...], costs: str) -> ScoreBank:

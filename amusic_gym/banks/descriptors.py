@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.banks.bank import as_float32, check_rows
+from amusic_gym.banks.scores import as_float32, check_rows
 from amusic_gym.utils import reading
 from amusic_gym.utils.names import suggest
 

@@ -11,10 +11,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.banks.bank import ScoreBank, as_float32, check_names, check_rows, check_seconds
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.costs import check_seconds
 from amusic_gym.banks.descriptors import DescriptorPair
 from amusic_gym.banks.ground_truth import GroundTruth, resolve_ground_truth
 from amusic_gym.banks.loop_closure import rows_without_recent, truth_without_recent
+from amusic_gym.banks.scores import as_float32, check_names, check_rows
 from amusic_gym.banks.truth_files import order_of, read_truth, unpickle
 from amusic_gym.utils import reading
 from amusic_gym.utils.names import suggest

@@ -20,7 +20,8 @@ from amusic_agents.run_folder import CHECKPOINT, stored_config
 from amusic_agents.selector import load_selector
 from amusic_agents.training import train
 
-from amusic_gym.banks.bank import COST_MODELS, ScoreBank
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.costs import COST_MODELS
 from amusic_gym.banks.importers import from_recording
 from amusic_gym.cli import demo_story as story
 from amusic_gym.cli import demo_tours as rendered

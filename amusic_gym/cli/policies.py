@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from amusic_gym.banks.bank import COST_MODELS, ScoreBank
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.costs import COST_MODELS
 from amusic_gym.cli.options import MANY
 from amusic_gym.cli.parser import Parser, add_statistic, destination
 from amusic_gym.evaluation.contestants import COMPUTE_WEIGHTS, MOST_TECHNIQUES

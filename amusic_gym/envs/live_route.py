@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amusic_gym.banks.bank import COST_MODELS, check_names, check_seconds, paper_seconds
+from amusic_gym.banks.costs import COST_MODELS, check_seconds, paper_seconds
 from amusic_gym.banks.ground_truth import GroundTruth, check_tolerance, resolve_ground_truth
+from amusic_gym.banks.scores import check_names
 from amusic_gym.envs.frames import FrameSource, Indexed, as_frames
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
 from amusic_gym.utils.checks import flag

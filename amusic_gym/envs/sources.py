@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.banks.bank import COST_MODELS, ScoreBank
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.costs import COST_MODELS
 from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.utils.names import suggest

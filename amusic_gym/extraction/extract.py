@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.banks import bank_files
-from amusic_gym.banks.bank import ScoreBank, check_names, check_seconds
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.costs import check_seconds
 from amusic_gym.banks.descriptors import DescriptorPair
 from amusic_gym.banks.ground_truth import GroundTruth, resolve_ground_truth
 from amusic_gym.banks.loop_closure import rows_without_recent, truth_without_recent
+from amusic_gym.banks.scores import check_names
 from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.describe import ExtractionPlan, images_of, match, score_rows
 from amusic_gym.extraction.executors import make_executor

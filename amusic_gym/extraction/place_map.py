@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.banks.bank import check_names
+from amusic_gym.banks.scores import check_names
 from amusic_gym.extraction import map_files
 from amusic_gym.extraction.blocks import Stored, aligned
 from amusic_gym.extraction.cache import Cache

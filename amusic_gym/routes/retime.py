@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.banks.bank import ScoreBank, floored
+from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.ground_truth import GroundTruth
+from amusic_gym.banks.scores import floored
 from amusic_gym.routes.motion import JUMP, KIDNAPPED, PACED, walk
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import suggest

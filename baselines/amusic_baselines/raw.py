@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from amusic_baselines.arguments import required
-from amusic_gym.banks.bank import floored
+from amusic_gym.banks.scores import floored
 from amusic_gym.policies.protocol import Context, Run
 from amusic_gym.policies.registry import PEER, RegisteredPolicy
 

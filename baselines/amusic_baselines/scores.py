@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.banks.bank import floored
+from amusic_gym.banks.scores import floored
 from amusic_gym.policies.protocol import Run
 
 RADIUS = 20

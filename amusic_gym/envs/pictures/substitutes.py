@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.banks.bank import floored
+from amusic_gym.banks.scores import floored
 from amusic_gym.envs.pictures.canvas import GREY, INK, LINE, SMALL, Box, Canvas
 from amusic_gym.envs.pictures.route import palette
 from amusic_gym.envs.pictures.scene import Scene

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from amusic_gym.banks.bank import paper_seconds
+from amusic_gym.banks.costs import paper_seconds
 from amusic_gym.evaluation import metrics
 from amusic_gym.evaluation.reproduction.paper import METHODS, TITLES, figures
 from amusic_gym.evaluation.tables import Table
