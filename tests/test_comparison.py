@@ -22,12 +22,12 @@ from amusic_gym.evaluation.comparison import (
     Comparison,
     compare,
     distinct,
-    draw,
     file_stem,
     partings,
     table,
 )
 from amusic_gym.evaluation.contestants import Contestant, all_subsets, check_weights, contestants
+from amusic_gym.evaluation.figures import draw
 from amusic_gym.evaluation.metrics import summarise
 from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.extraction.code import key_of

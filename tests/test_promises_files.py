@@ -37,7 +37,8 @@ from small_training import Quick, contents, small, small_rollouts
 
 from amusic_gym.cli.parser import destination
 from amusic_gym.evaluation import plots
-from amusic_gym.evaluation.comparison import compare, draw
+from amusic_gym.evaluation.comparison import compare
+from amusic_gym.evaluation.figures import draw
 from amusic_gym.evaluation.study.cells import MEASURED
 from amusic_gym.evaluation.study.run import load_measures
 from amusic_gym.extraction.code import key_of

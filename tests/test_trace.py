@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.policies.trace import CSV_COLUMNS, Trace
+from amusic_gym.policies.trace import CSV_COLUMNS, FILE_COLUMNS, Trace
 from amusic_gym.utils.storage import write_whole
 
 # Five frames on a map of six places, true place q ± 0; frame 3 has no true place.
@@ -127,7 +127,7 @@ def test_csv_has_one_exact_line_per_frame(tmp_path: Path) -> None:
     path = small_trace(confidence=confidence).write_csv(tmp_path / "deep" / "trace.csv")
     with path.open(newline="") as stream:
         rows = list(csv.DictReader(stream))
-    assert tuple(rows[0]) == CSV_COLUMNS
+    assert tuple(rows[0]) == CSV_COLUMNS + FILE_COLUMNS
     assert [row["prediction"] for row in rows] == ["-1", "1", "5", "3", "4"]
     assert [float(row["confidence"]) for row in rows] == confidence
     assert [float(row["similarity"]) for row in rows] == [0.0, 2.5, -0.5, 1 / 3, 4.0]

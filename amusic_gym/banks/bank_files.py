@@ -21,8 +21,9 @@ from amusic_gym.utils.checks import number, whole
 
 FORMAT_VERSION = 1
 MANIFEST, SCORES, TRUTH = "bank.json", "scores.npy", "ground_truth.npz"
+IMAGES = "images.json"  # of banks that were made of images, for who looks at them
 
-FILES = frozenset((MANIFEST, SCORES, TRUTH))
+FILES = frozenset((MANIFEST, SCORES, TRUTH, IMAGES))
 _MOST_MANIFEST, _MOST_HEADERS = 2**24, 2**16  # bytes; of ground_truth.npz beside its numbers
 _READ_ATTEMPTS = 20
 _REBUILD = "copy the bank again or build it anew with amusic bank"

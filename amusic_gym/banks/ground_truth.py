@@ -183,16 +183,39 @@ class GroundTruth:
         """
         places, queries = self._pairs(predictions, frames)
         result = np.full(len(places), np.nan)
-        begin, end = self.indptr[queries], self.indptr[queries + 1]
-        known = end > begin
-        places, queries, begin, end = places[known], queries[known], begin[known], end[known]
-        # The true places on either side; at a query's first or last one, both are the same.
-        at = np.searchsorted(self._keys, queries * self.references + np.maximum(places, 0))
-        below = self.places[np.clip(at - 1, begin, end - 1)]
-        above = self.places[np.clip(at, begin, end - 1)]
-        gap = np.minimum(np.abs(places - below), np.abs(above - places))
+        known = self.indptr[queries + 1] > self.indptr[queries]
+        places = places[known]
+        gap = np.abs(places - self.places[self._nearest(places, queries[known])])
         result[known] = np.where(places < 0, self.references, gap)
         return result
+
+    def centres(self, predictions: ArrayLike) -> NDArray[np.int64]:
+        """(Q,) middle of the run of true neighbours nearest to each frame's prediction.
+
+        Args:
+            predictions: (Q,) places in [0, R), or -1.
+
+        Returns:
+            (Q,) int64: -1 where the query has no true place.
+        """
+        places, queries = self._pairs(predictions, None)
+        result = np.full(len(places), -1)
+        first, query_of = self._run_starts()
+        last = np.append(first[1:], len(query_of)) - 1
+        known = self.has_place
+        nearest = self._nearest(places[known], queries[known])
+        run = np.searchsorted(first, nearest, "right") - 1
+        result[known] = (self.places[first[run]] + self.places[last[run]]) // 2
+        return result
+
+    def _nearest(self, places: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Where in ``self.places`` the true place nearest to each is; all queries have one."""
+        begin, end = self.indptr[queries], self.indptr[queries + 1] - 1
+        # The true places on either side; at a query's first or last one, both are the same.
+        at = np.searchsorted(self._keys, queries * self.references + np.maximum(places, 0))
+        below, above = np.clip(at - 1, begin, end), np.clip(at, begin, end)
+        nearer = np.abs(places - self.places[below]) <= np.abs(self.places[above] - places)
+        return np.where(nearer, below, above)
 
     def matrix(self) -> NDArray[np.bool_]:
         """(Q, R) boolean, true where a place is right for a query."""
@@ -210,12 +233,16 @@ class GroundTruth:
 
     def _runs(self) -> NDArray[np.int64]:
         """(Q,) length of each query's longest run of neighbouring true places."""
-        query_of = np.repeat(np.arange(self.queries), np.diff(self.indptr))
-        begins = (np.diff(self.places, prepend=-2) != 1) | (np.diff(query_of, prepend=-1) != 0)
-        first = np.flatnonzero(begins)
+        first, query_of = self._run_starts()
         longest = np.zeros(self.queries, np.int64)
         np.maximum.at(longest, query_of[first], np.diff(first, append=len(self.places)))
         return longest
+
+    def _run_starts(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Where in ``self.places`` each run of neighbours begins, and each place's query."""
+        query_of = np.repeat(np.arange(self.queries), np.diff(self.indptr))
+        begins = (np.diff(self.places, prepend=-2) != 1) | (np.diff(query_of, prepend=-1) != 0)
+        return np.flatnonzero(begins), query_of
 
     def _pairs(
         self, predictions: ArrayLike, frames: ArrayLike | None

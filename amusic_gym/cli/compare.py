@@ -15,8 +15,9 @@ from functools import partial
 
 from amusic_gym.cli.parser import Parser, correction_of, insisted
 from amusic_gym.cli.policies import add_policies, banks_of
-from amusic_gym.evaluation.comparison import compare, draw, table
+from amusic_gym.evaluation.comparison import compare, table
 from amusic_gym.evaluation.contestants import all_subsets, check_weights, contestants
+from amusic_gym.evaluation.figures import draw
 
 
 def add_arguments(parser: Parser) -> None:

@@ -26,8 +26,9 @@ from amusic_gym.banks.importers import from_recording
 from amusic_gym.cli import demo_story as story
 from amusic_gym.cli import demo_tours as rendered
 from amusic_gym.cli.parser import Parser, destination
-from amusic_gym.evaluation.comparison import compare, draw, table
+from amusic_gym.evaluation.comparison import compare, table
 from amusic_gym.evaluation.contestants import all_subsets, contestants
+from amusic_gym.evaluation.figures import draw
 from amusic_gym.evaluation.metrics import mean_rows
 from amusic_gym.evaluation.report import ReportFigure, write_report
 from amusic_gym.evaluation.study import figures

@@ -22,19 +22,15 @@ from amusic_gym.evaluation import metrics, rollout, store
 from amusic_gym.evaluation.audit import Audit, audit, parting
 from amusic_gym.evaluation.contestants import Contestant
 from amusic_gym.evaluation.lists import write_lists
-from amusic_gym.evaluation.report import ReportFigure
 from amusic_gym.evaluation.tables import Table, footnote, marked
 from amusic_gym.policies.protocol import Context, Correction
-from amusic_gym.policies.registry import parse
 from amusic_gym.policies.trace import DONE, Trace
+from amusic_gym.routes.bank_images import BankImages
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import distinct, file_stem
 from amusic_gym.utils.storage import keep_only, write_whole
 
 ROWS, TRACES, LISTS, RESULTS = "rows", "traces", "lists", "results.json"
-
-MOST_CURVES = 16  # more traces than these in a figure of curves: subsets are left out
-MOST_PANELS = 8  # traces in a figure of selections
 
 Report = Callable[[str], None]
 
@@ -49,12 +45,14 @@ class Comparison:
         mean: the rows averaged over banks, of those (policy, λ, statistic, carry) that every
             bank has.
         needs_truth: name of a policy → of what it needs ground truth.
+        images: name of a bank → its images, if it has a list of them.
     """
 
     traces: list[Trace]
     rows: list[dict[str, Any]]
     mean: list[dict[str, Any]]
     needs_truth: dict[str, str] = field(default_factory=dict)
+    images: dict[str, BankImages | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -128,11 +126,13 @@ def compare(
     refuse_within_bank(out)
     files = [out / TRACES / f"{stem}.csv" for stem in distinct([_stem(e) for e in entries])]
     lists = [out / LISTS / file.name for file in files] if top is not None else []
+    run_on = {entry.context.bank.name: entry.context.bank for entry in entries}
+    images = {name: BankImages.load(bank) for name, bank in run_on.items()}
     traces, rows = [], []
     for number, (entry, file) in enumerate(zip(entries, files, strict=True), 1):
         trace, kept = _finish(entry, out / ROWS, report)
         row = metrics.summarise(trace)
-        trace.write_csv(file)
+        trace.write_csv(file, images[trace.bank])
         for path in lists[number - 1 : number]:
             write_lists(path, entry.context.bank, trace, count)
         traces.append(trace)
@@ -144,7 +144,8 @@ def compare(
     keep_only(out, "traces", files)
     keep_only(out, "lists", lists)
     made = [entry.contestant for entry in entries]
-    return Comparison(traces, rows, mean, {c.name: c.needs_truth for c in made if c.needs_truth})
+    needs_truth = {each.name: each.needs_truth for each in made if each.needs_truth}
+    return Comparison(traces, rows, mean, needs_truth, images)
 
 
 def check_banks(banks: Sequence[ScoreBank]) -> None:
@@ -259,7 +260,7 @@ def table(comparison: Comparison) -> str:
     truth part.
     """
     needs = comparison.needs_truth
-    blocks = [_block(bank, rows, needs) for bank, rows in _by_bank(comparison.rows).items()]
+    blocks = [_block(bank, rows, needs) for bank, rows in rows_by_bank(comparison.rows).items()]
     if len(blocks) > 1 and comparison.mean:
         blocks.append(_block(f"mean over {len(blocks)} banks", comparison.mean, needs))
     note = footnote((row["policy"] for row in comparison.rows), needs)
@@ -305,87 +306,9 @@ def _shared(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return [row for row, key in zip(rows, keys, strict=True) if keys.count(key) == banks]
 
 
-def _by_bank(rows: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+def rows_by_bank(rows: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    """Name of a bank → its rows."""
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         groups.setdefault(row["bank"], []).append(row)
     return groups
-
-
-# ---- figures -------------------------------------------------------------------------------
-
-
-def draw(comparison: Comparison, folder: str | Path) -> list[ReportFigure]:
-    """Write the figures of a comparison as PNG files to ``folder``; those of an earlier one go.
-
-    Per bank: AUC against compute, precision-recall curves, and the runs along the route of the
-    policies that vary them; over all banks: the mean front, and the shares of MuSIC's choices.
-    """
-    from amusic_gym.evaluation import plots
-
-    folder = Path(folder)
-    figures = []
-    groups = _by_bank(comparison.rows)
-    if len(groups) > 1 and _has_front(comparison.mean):
-        path = plots.front(comparison.mean, folder / "front-mean.png")
-        figures.append(ReportFigure(path, "AUC against compute, mean over all routes."))
-    stems = distinct([file_stem(bank) for bank in groups], taken=("mean",))
-    for (bank, rows), stem in zip(groups.items(), stems, strict=True):
-        traces = [trace for trace in comparison.traces if trace.bank == bank]
-        if _has_front(rows):
-            path = plots.front(rows, folder / f"front-{stem}.png")
-            figures.append(ReportFigure(path, f"AUC against compute on {bank}."))
-        path = plots.precision_recall(_curves(traces), folder / f"precision_recall-{stem}.png")
-        figures.append(ReportFigure(path, f"Precision-recall curves on {bank}."))
-        if panels := _panels(traces):
-            path = plots.selections(panels, folder / f"selections-{stem}.png")
-            figures.append(ReportFigure(path, f"Techniques run along the route of {bank}."))
-    if trusted := _trusted(comparison.traces):
-        path = plots.shares(trusted, folder / "shares.png")
-        figures.append(ReportFigure(path, "Shares of MuSIC's choices on each route."))
-    keep_only(folder, "figures", [figure.path for figure in figures])
-    return figures
-
-
-def _has_front(rows: Sequence[dict[str, Any]]) -> bool:
-    """Whether any row has a place in the front."""
-    return any(parse(row["policy"]).policy.charted for row in rows)
-
-
-def _curves(traces: Sequence[Trace]) -> list[Trace]:
-    """The traces that a figure of curves can hold: no subsets where there are many."""
-    if len(traces) <= MOST_CURVES:
-        return list(traces)
-    return [trace for trace in traces if not _is_subset(trace)] or list(traces[:MOST_CURVES])
-
-
-def _panels(traces: Sequence[Trace]) -> list[Trace]:
-    """Traces whose choice of techniques varies; of many λ an even spread."""
-    varied = [trace for trace in traces if not parse(trace.policy).policy.constant]
-    plain = [trace for trace in varied if trace.compute_weight is None]
-    swept = [trace for trace in varied if trace.compute_weight is not None]
-    room = max(1, MOST_PANELS - len(plain))
-    chosen = [*plain[:MOST_PANELS], *spread(swept, room)]
-    return [trace for trace in varied if any(trace is other for other in chosen)]
-
-
-def spread(items: Sequence[Trace], count: int) -> list[Trace]:
-    """At most ``count`` of the items, evenly spaced, the ends among them."""
-    if len(items) <= count:
-        return list(items)
-    steps = max(count - 1, 1)
-    return [items[round(i * (len(items) - 1) / steps)] for i in range(count)]
-
-
-def _trusted(traces: Sequence[Trace]) -> list[Trace]:
-    """MuSIC's trace on each bank; else those of a policy like it."""
-    for policy in ("music", "amusic", "amusic:evidence"):
-        if found := [trace for trace in traces if trace.policy == policy]:
-            return found
-    return []
-
-
-def _is_subset(trace: Trace) -> bool:
-    """Whether it is of a fixed subset of several techniques, but not of all."""
-    policy, argument = parse(trace.policy)
-    return policy.colour is None and argument not in trace.techniques

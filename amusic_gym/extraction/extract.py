@@ -26,6 +26,7 @@ from amusic_gym.extraction.executors import make_executor
 from amusic_gym.extraction.progress import Progress
 from amusic_gym.extraction.seconds import known_cost
 from amusic_gym.extraction.shards import Executor
+from amusic_gym.routes.bank_images import BankImages
 from amusic_gym.routes.folders import ImageFolder, check_apart
 from amusic_gym.routes.image_truth import by_index
 from amusic_gym.techniques import Technique, make_technique
@@ -133,7 +134,7 @@ def extract(
         )
         if exclude_recent is not None:
             rows = rows_without_recent(rows, truth.queries, exclude_recent)
-        return ScoreBank.from_rows(
+        bank = ScoreBank.from_rows(
             rows,
             names,
             [*costs, *(declared[each] for each in further)],
@@ -143,6 +144,9 @@ def extract(
             source=source or f"images: {run_folder.path.name} on {map_folder.path.name}",
             out=out,
         )
+    if bank.path is not None:
+        BankImages.of(run_folder, map_folder).save(bank.path)
+    return bank
 
 
 def _run(

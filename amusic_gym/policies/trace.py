@@ -24,6 +24,7 @@ from amusic_gym.utils.storage import write_whole
 
 if TYPE_CHECKING:
     from amusic_gym.envs.sources import Recording
+    from amusic_gym.routes.bank_images import BankImages
 
 CSV_COLUMNS = (
     "frame",
@@ -36,6 +37,9 @@ CSV_COLUMNS = (
     "late_runs",
     "true_rank",
 )
+
+FILE_COLUMNS = ("true_place", "query_file", "query_change", "matched_file", "true_file")
+"""Behind those, where the truth is known; the files where the bank's images are."""
 
 DONE = (
     *("predictions", "confidence", "similarity", "p_correct", "chosen", "ran", "late_runs"),
@@ -67,6 +71,7 @@ class Trace:
     selections: NDArray[np.bool_]  # (Q,) a selection was done before this frame
     correct: NDArray[np.bool_]  # (Q,) the prediction is a true place
     has_place: NDArray[np.bool_]  # (Q,) there is a true place at all
+    true_place: NDArray[np.int64]  # (Q,) middle of the true places nearest to the prediction, or -1
     error: NDArray[np.float64]  # (Q,) places to the nearest true one, nan without one
     true_rank: NDArray[np.int64]  # (Q,) of the first true place (`banks.ranking`), 0 = none, -1 = ?
     bank: str
@@ -127,6 +132,7 @@ class Trace:
             selections=np.zeros(per_frame, bool) if selections is None else np.asarray(selections),
             correct=bank.truth.correct(predicted),
             has_place=bank.truth.has_place,
+            true_place=bank.truth.centres(predicted),
             error=bank.truth.distance(predicted),
             true_rank=true_rank,
             bank=bank.name,
@@ -189,22 +195,28 @@ class Trace:
             seen[unseen[max(0, unseen.size - count) :], technique] = True
         return seen & ~self.ran
 
-    def write_csv(self, path: str | Path) -> Path:
-        """Write one line per frame with the columns `CSV_COLUMNS`; whole, or not at all.
+    def write_csv(self, path: str | Path, images: BankImages | None = None) -> Path:
+        """Write a line per frame with `CSV_COLUMNS` and `FILE_COLUMNS`; whole, or not at all.
 
         `techniques` are the names run on the frame itself, joined by "+"; `late_runs` the number of
         after-the-fact runs charged at its step; `p_correct` is empty where there is none;
-        `true_rank` is that of the first true place in the frame's list, 0 if it is not in it.
+        `true_rank` is that of the first true place in the frame's list, 0 if it is not in it. The
+        image of `query_file` is seen under `query_change`, where that is not empty.
+
+        Args:
+            path: of the file.
+            images: the bank's; None: the columns of files stay empty.
         """
         text = io.StringIO()
         writer = CsvWriter(text)
-        writer.writerow(CSV_COLUMNS)
+        writer.writerow((*CSV_COLUMNS, *FILE_COLUMNS))
         for frame in range(self.queries):
             estimate = float(self.p_correct[frame])
+            place, true = int(self.predictions[frame]), int(self.true_place[frame])
             writer.writerow(
                 csv_line(
                     frame,
-                    int(self.predictions[frame]),
+                    place,
                     float(self.confidence[frame]),
                     float(self.similarity[frame]),
                     None if np.isnan(estimate) else estimate,
@@ -213,8 +225,18 @@ class Trace:
                     int(self.late_runs[frame].sum()),
                     int(self.true_rank[frame]),
                 )
+                + ["" if true < 0 else true, *_files(images, frame, place, true)]
             )
-        return write_whole(path, text.getvalue().encode())
+        return write_whole(path, text.getvalue().encode(errors="surrogateescape"))
+
+
+def _files(images: BankImages | None, frame: int, place: int, true: int) -> list[str]:
+    """The values of `FILE_COLUMNS` behind the first."""
+    if images is None:
+        return [""] * 4
+    query = images.query[frame]
+    places = ("" if at < 0 else str(images.reference[at].path) for at in (place, true))
+    return [str(query.path), str(query.change or ""), *places]
 
 
 def csv_line(
@@ -257,6 +279,7 @@ def _fields(queries: int, techniques: int) -> dict[str, tuple[type[Any], tuple[i
         "selections": (np.bool_, per_frame),
         "correct": (np.bool_, per_frame),
         "has_place": (np.bool_, per_frame),
+        "true_place": (np.int64, per_frame),
         "error": (np.float64, per_frame),
         "true_rank": (np.int64, per_frame),
     }

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.banks.scores import floored
+from amusic_gym.routes.bank_images import BankImages
 from amusic_gym.routes.motion import JUMP, KIDNAPPED, PACED, walk
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import suggest
@@ -129,7 +130,7 @@ def _retimed(
     rng = np.random.default_rng(whole("seed", seed, 0))
     frames = retimed_frames(bank.queries, rng, motion)
     origin = ": ".join(text for text in (bank.name, bank.source) if text)
-    return ScoreBank.from_rows(
+    retimed = ScoreBank.from_rows(
         _blocks(bank, frames, seed),
         bank.techniques,
         seconds,
@@ -140,6 +141,9 @@ def _retimed(
         costs=costs,
         out=out,
     )
+    if retimed.path is not None and (images := BankImages.load(bank)) is not None:
+        images.frames(frames.tolist()).save(retimed.path)
+    return retimed
 
 
 def retimed_truth(truth: GroundTruth, frames: NDArray[np.int64]) -> GroundTruth:

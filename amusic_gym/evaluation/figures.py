@@ -1,0 +1,93 @@
+"""The figures of a comparison, as PNG files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from amusic_gym.evaluation.comparison import Comparison, rows_by_bank
+from amusic_gym.evaluation.report import ReportFigure
+from amusic_gym.policies.registry import parse
+from amusic_gym.policies.trace import Trace
+from amusic_gym.utils.names import distinct, file_stem
+from amusic_gym.utils.storage import keep_only
+
+MOST_CURVES = 16  # more traces than these in a figure of curves: subsets are left out
+MOST_PANELS = 8  # traces in a figure of selections
+
+
+def draw(comparison: Comparison, folder: str | Path) -> list[ReportFigure]:
+    """Write the figures of a comparison as PNG files to ``folder``; those of an earlier one go.
+
+    Per bank: AUC against compute, precision-recall curves, and the runs along the route of the
+    policies that vary them; over all banks: the mean front, and the shares of MuSIC's choices.
+    """
+    from amusic_gym.evaluation import plots
+
+    folder = Path(folder)
+    figures = []
+    groups = rows_by_bank(comparison.rows)
+    if len(groups) > 1 and _has_front(comparison.mean):
+        path = plots.front(comparison.mean, folder / "front-mean.png")
+        figures.append(ReportFigure(path, "AUC against compute, mean over all routes."))
+    stems = distinct([file_stem(bank) for bank in groups], taken=("mean",))
+    for (bank, rows), stem in zip(groups.items(), stems, strict=True):
+        traces = [trace for trace in comparison.traces if trace.bank == bank]
+        if _has_front(rows):
+            path = plots.front(rows, folder / f"front-{stem}.png")
+            figures.append(ReportFigure(path, f"AUC against compute on {bank}."))
+        path = plots.precision_recall(_curves(traces), folder / f"precision_recall-{stem}.png")
+        figures.append(ReportFigure(path, f"Precision-recall curves on {bank}."))
+        if panels := _panels(traces):
+            path = plots.selections(panels, folder / f"selections-{stem}.png")
+            figures.append(ReportFigure(path, f"Techniques run along the route of {bank}."))
+    if trusted := _trusted(comparison.traces):
+        path = plots.shares(trusted, folder / "shares.png")
+        figures.append(ReportFigure(path, "Shares of MuSIC's choices on each route."))
+    keep_only(folder, "figures", [figure.path for figure in figures])
+    return figures
+
+
+def _has_front(rows: Sequence[dict[str, Any]]) -> bool:
+    """Whether any row has a place in the front."""
+    return any(parse(row["policy"]).policy.charted for row in rows)
+
+
+def _curves(traces: Sequence[Trace]) -> list[Trace]:
+    """The traces that a figure of curves can hold: no subsets where there are many."""
+    if len(traces) <= MOST_CURVES:
+        return list(traces)
+    return [trace for trace in traces if not _is_subset(trace)] or list(traces[:MOST_CURVES])
+
+
+def _panels(traces: Sequence[Trace]) -> list[Trace]:
+    """Traces whose choice of techniques varies; of many λ an even spread."""
+    varied = [trace for trace in traces if not parse(trace.policy).policy.constant]
+    plain = [trace for trace in varied if trace.compute_weight is None]
+    swept = [trace for trace in varied if trace.compute_weight is not None]
+    room = max(1, MOST_PANELS - len(plain))
+    chosen = [*plain[:MOST_PANELS], *spread(swept, room)]
+    return [trace for trace in varied if any(trace is other for other in chosen)]
+
+
+def spread(items: Sequence[Trace], count: int) -> list[Trace]:
+    """At most ``count`` of the items, evenly spaced, the ends among them."""
+    if len(items) <= count:
+        return list(items)
+    steps = max(count - 1, 1)
+    return [items[round(i * (len(items) - 1) / steps)] for i in range(count)]
+
+
+def _trusted(traces: Sequence[Trace]) -> list[Trace]:
+    """MuSIC's trace on each bank; else those of a policy like it."""
+    for policy in ("music", "amusic", "amusic:evidence"):
+        if found := [trace for trace in traces if trace.policy == policy]:
+            return found
+    return []
+
+
+def _is_subset(trace: Trace) -> bool:
+    """Whether it is of a fixed subset of several techniques, but not of all."""
+    policy, argument = parse(trace.policy)
+    return policy.colour is None and argument not in trace.techniques
