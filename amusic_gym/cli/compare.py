@@ -1,4 +1,4 @@
-"""Compare policies on score banks: a table, results.json, traces and figures.
+"""Compare policies on score banks: a table, results.json, traces, figures and a page.
 
 POLICY: amusic (the paper's), amusic:evidence, amusic:belief, music, raw:NAME, single:NAME,
 subset:A+B, random:P[/idle], periodic:N[/A+B[/C]] (C may be idle), cascade[:CHEAP/HOLD/THRESHOLD],
@@ -17,7 +17,7 @@ from amusic_gym.cli.parser import Parser, correction_of, insisted
 from amusic_gym.cli.policies import add_policies, banks_of
 from amusic_gym.evaluation.comparison import compare, table
 from amusic_gym.evaluation.contestants import all_subsets, check_weights, contestants
-from amusic_gym.evaluation.figures import draw
+from amusic_gym.evaluation.figures import write_page
 
 
 def add_arguments(parser: Parser) -> None:
@@ -46,5 +46,5 @@ def main(args: argparse.Namespace) -> None:
         top=args.top_k,
         report=partial(print, flush=True),
     )
-    draw(result, args.out)
-    print(f"\n{table(result)}\n\n{args.out / 'results.json'}")
+    page = write_page(result, args.out)
+    print(f"\n{table(result)}\n\n{args.out / 'results.json'}\n{page}")

@@ -4,7 +4,7 @@ POLICY: as compare takes them; POLICY@STATISTIC runs one under another statistic
 Seed s re-times every bank in its own way, is the seed of policies that draw, and the s-th run of a
 --selector. Every finished cell is kept in DIR/cells: after Ctrl-C or a kill the same command goes
 on where it was, and a longer one computes only what is new or changed. Writes DIR/study.json,
-tables.md and the figures.
+tables.md, the figures and a page, index.html.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from amusic_gym.cli.parser import Parser, correction_of, insisted, pairs
 from amusic_gym.cli.policies import add_policies, banks_of
 from amusic_gym.evaluation import study
 from amusic_gym.evaluation.contestants import check_weights
-from amusic_gym.evaluation.study.figures import draw
 from amusic_gym.evaluation.study.lineup import Lineup
+from amusic_gym.evaluation.study.page import write_page
 from amusic_gym.evaluation.study.tables import text, write_markdown
 from amusic_gym.extraction.executors import make_executor
 
@@ -68,8 +68,8 @@ def main(args: argparse.Namespace) -> None:
     findings = study.find(plan, finished, rivals=beaten)
     findings.write(args.out)
     write_markdown(findings, args.out)
-    draw(findings, args.out)
-    print(f"\n{text(findings)}\n\n{args.out / 'study.json'}")
+    page = write_page(findings, args.out)
+    print(f"\n{text(findings)}\n\n{args.out / 'study.json'}\n{page}")
 
 
 def _lineup(args: argparse.Namespace) -> Lineup:

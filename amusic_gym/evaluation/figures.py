@@ -1,20 +1,28 @@
-"""The figures of a comparison, as PNG files."""
+"""The figures of a comparison, as PNG files, and its page."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from amusic_gym.evaluation.audit import PARTING, audit
 from amusic_gym.evaluation.comparison import Comparison, rows_by_bank
-from amusic_gym.evaluation.report import ReportFigure
-from amusic_gym.policies.registry import parse
+from amusic_gym.evaluation.plots import labels
+from amusic_gym.evaluation.report import ReportFigure, write_report
+from amusic_gym.evaluation.tables import Table
+from amusic_gym.policies.registry import BOUND, parse
 from amusic_gym.policies.trace import Trace
 from amusic_gym.utils.names import distinct, file_stem
 from amusic_gym.utils.storage import keep_only
 
 MOST_CURVES = 16  # more traces than these in a figure of curves: subsets are left out
 MOST_PANELS = 8  # traces in a figure of selections
+NEAR = 0.02
+"""Difference of AUC that a headline passes over."""
+
+DRAWN = ("front", "selections")
+"""Figures that the page's script draws itself."""
 
 
 def draw(comparison: Comparison, folder: str | Path) -> list[ReportFigure]:
@@ -47,6 +55,56 @@ def draw(comparison: Comparison, folder: str | Path) -> list[ReportFigure]:
         figures.append(ReportFigure(path, "Shares of MuSIC's choices on each route."))
     keep_only(folder, "figures", [figure.path for figure in figures])
     return figures
+
+
+def headline(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The highest AUC of a bank's rows in one sentence, and the cheapest within `NEAR` of it."""
+    shown = [row for row in rows if parse(row["policy"]).policy.family != BOUND]
+    best = max(shown, key=lambda row: (round(row["auc"], 3), -row["compute"]))
+    near = min((r for r in shown if r["auc"] >= best["auc"] - NEAR), key=lambda r: r["compute"])
+    cheaper = f"{_named(near)} comes within {NEAR} of it at {near['compute']:.0%}"
+    if near is best:
+        cheaper = f"nothing cheaper comes within {NEAR} of it"
+    return (
+        f"Of {len(shown)} policies, {_named(best)} has the highest AUC, {best['auc']:.3f}, at"
+        f" {best['compute']:.0%} of the compute of all techniques; {cheaper}."
+    )
+
+
+def write_page(comparison: Comparison, folder: str | Path) -> Path:
+    """Draw the figures, and write ``index.html``, whose script draws fronts and routes itself."""
+    figures = draw(comparison, folder)
+    several = len({row["bank"] for row in comparison.rows}) > 1
+    rows = [*(comparison.mean if several else []), *comparison.rows]
+    return write_report(
+        Path(folder) / "index.html",
+        title=f"Policies on {', '.join(dict.fromkeys(row['bank'] for row in comparison.rows))}",
+        sentences=[headline([row for row in rows if row["bank"] == rows[0]["bank"]])],
+        rows=rows,
+        figures=[each for each in figures if not Path(each.path).name.startswith(DRAWN)],
+        traces=comparison.traces,
+        images=comparison.images,
+        below=believed(comparison.traces),
+    )
+
+
+def believed(traces: Sequence[Trace]) -> list[Table]:
+    """The drives on which mean p̂ and accuracy differ by more than `PARTING`, as a table or none."""
+    audits = [(trace, held) for trace in traces if (held := audit(trace)) is not None]
+    rows = [
+        [labels.trace_label(trace), trace.bank]
+        + [f"{value:.3f}" for value in (held.p_correct, held.accuracy, held.gap)]
+        for trace, held in sorted(audits, key=lambda pair: -abs(pair[1].gap))
+        if abs(held.gap) > PARTING
+    ]
+    heads = ["policy", "route", "mean p̂", "accuracy", "difference"]
+    title = f"Estimated correctness p̂ is off by more than {PARTING:g}: {len(rows)} of {len(audits)}"
+    return [Table(title, heads, rows, words=2)] if rows else []
+
+
+def _named(row: Mapping[str, Any]) -> str:
+    weight = row["compute_weight"]
+    return labels.row_label(row) + ("" if weight is None else f", {labels.weight_label(weight)}")
 
 
 def _has_front(rows: Sequence[dict[str, Any]]) -> bool:

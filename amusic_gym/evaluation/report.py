@@ -1,7 +1,8 @@
-"""One self-contained HTML page of a comparison: sentences, tables, figures.
+"""One HTML page to explore: a drive frame by frame, AUC against compute, tables, figures.
 
-The page, `report.html`, loads nothing: figures are embedded, styles are inline, there is no script.
-It reads on a phone and on paper, light and dark.
+The page is `report.html` with `report.js` in it. It opens from a folder, without a server, and
+loads nothing but what is in the folder beside it (`amusic_gym.evaluation.report_drives`). It reads
+on a phone and on paper, light and dark, with a keyboard and with a screen reader.
 """
 
 from __future__ import annotations
@@ -13,8 +14,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from amusic_gym.estimation.settings import statistic_label
-from amusic_gym.evaluation.plots.labels import policy_label
+from amusic_gym.evaluation.plots.labels import row_label
+from amusic_gym.evaluation.report_drives import Beside, page_data
+from amusic_gym.evaluation.tables import Table
 from amusic_gym.policies.registry import MARK
+from amusic_gym.policies.trace import Trace
+from amusic_gym.routes.bank_images import BankImages
 from amusic_gym.utils.storage import write_whole
 
 PICTURES = {b"\x89PNG\r\n": "png", b"\xff\xd8\xff": "jpeg"}
@@ -49,15 +54,17 @@ class Column(NamedTuple):
     form: str  # of `format`
     bar: bool = False  # whether a bar stands behind the number, a share of 1
 
-    def words(self, value: float) -> str:
-        """The number as the page has it."""
-        return format(value, self.form)
+    def words(self, value: Any) -> str:
+        """The number, or the ends of an interval, as the page has it."""
+        ends = value if isinstance(value, list | tuple) else [value]
+        return " to ".join(format(end, self.form) for end in ends)
 
 
 COLUMNS = {
     "auc": Column(
         "AUC", "area under precision-recall, over queries with a true place", ".3f", True
     ),
+    "auc_interval": Column("95 %", "bootstrap interval of the AUC", ".3f"),
     "compute": Column(
         "Compute", "seconds spent, of running every technique on every frame", ".1%", True
     ),
@@ -85,34 +92,58 @@ def write_report(
     sentences: Sequence[str],
     rows: Sequence[Mapping[str, Any]],
     figures: Sequence[ReportFigure] = (),
+    traces: Sequence[Trace] = (),
+    images: Mapping[str, BankImages | None] | None = None,
+    highlights: Sequence[tuple[str, Trace]] = (),
+    tables: Sequence[Table] = (),
+    below: Sequence[Table] = (),
 ) -> Path:
-    """Write the page: the table of the first bank in `rows`, the figures, the other banks' tables.
+    """Write the page: the drives, the front of `rows`, tables and figures.
 
-    `sentences` stand under the title, the first one larger: say there what the numbers say.
-    Put the mean rows first to have them as the summary.
+    Args:
+        path: of the page; its other files go to a folder beside it, ``NAME_files``.
+        title: above all.
+        sentences: what the numbers say: the first on the first screen, the others below it.
+        rows: of results; the mean first to have it as the summary. ``auc_interval``, where there
+            is one, is drawn.
+        figures: below the tables.
+        traces: the drives that can be looked at; none: the page has no drive.
+        images: name of a bank → its images.
+        highlights: drives with a button each, and its words; the first is shown at first.
+        tables: more of them, before the rows' first.
+        below: more of them, behind that.
 
     Raises:
         FileNotFoundError: a figure is not there.
         ValueError: there is no row, or a figure is no PNG file.
     """
     from jinja2 import Environment, StrictUndefined
+    from markupsafe import Markup
 
     if not rows:
         raise ValueError("rows is empty; give at least one results row")
+    sources = [figure.source for figure in figures]  # refused before anything is written
+    beside = Beside(Path(path))
     environment = Environment(
         autoescape=True, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined
     )
-    environment.filters["label"] = policy_label
+    environment.filters["label"] = row_label
     environment.filters["sic"] = lambda row: statistic_label(row["statistic"], row["carry"])
     page = environment.from_string(Path(__file__).with_suffix(".html").read_text("utf-8")).render(
         title=title,
         sentences=sentences,
         banks=[_bank(name, rows) for name in dict.fromkeys(row["bank"] for row in rows)],
-        columns=COLUMNS,
-        figures=figures,
+        columns={key: column for key, column in COLUMNS.items() if key in rows[0]},
+        figures=list(zip(figures, sources, strict=True)),
+        tables=tables,
+        below=below,
         mark=MARK,
+        data=Markup(page_data(rows, traces, images or {}, highlights, beside)),
+        script=Markup(Path(__file__).with_suffix(".js").read_text("utf-8")),
     )
-    return write_whole(path, page.encode())
+    written = write_whole(path, page.encode())
+    beside.sweep()
+    return written
 
 
 def _bank(name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -123,5 +154,5 @@ def _bank(name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "rows": own,
         "costs": ", ".join(dict.fromkeys(str(row["costs"]) for row in own)),
         "frames": ", ".join(dict.fromkeys(str(row["queries"]) for row in own)),
-        "marked": any(MARK in policy_label(row["policy"]) for row in own),
+        "marked": any(MARK in row_label(row) for row in own),
     }

@@ -6,8 +6,8 @@ their bright yellow is left out, it vanishes on white.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from amusic_gym.policies.registry import parse
 
@@ -20,6 +20,11 @@ SWEEP_COLOURS = ("#D55E00", "#7B3294", "#008837", "#A50F15")  # one per policy w
 def policy_label(policy: str) -> str:
     """A policy's name for a reader: "single:HOG" -> "HOG", "amusic" -> "A-MuSIC"."""
     return parse(policy).label
+
+
+def row_label(row: Mapping[str, Any]) -> str:
+    """The policy of a results row for a reader; ``label``, where the row has one."""
+    return row.get("label") or policy_label(row["policy"])
 
 
 def weight_label(weight: float) -> str:

@@ -34,7 +34,7 @@ def tables(findings: Findings) -> list[Table]:
     if findings.margins:
         made.append(_margins(findings))
     if findings.audit:
-        made.append(_audit(findings))
+        made.append(audit_table(findings, findings.audit))
     return made
 
 
@@ -213,8 +213,8 @@ def _margins(findings: Findings) -> Table:
     return Table("Margins: AUC of the selector's front minus the rival's", heads, rows, note, 4)
 
 
-def _audit(findings: Findings) -> Table:
-    """p̂ against the truth."""
+def audit_table(findings: Findings, shown: Sequence[Row]) -> Table:
+    """p̂ against the truth, of rows of the audit."""
     heads = ["policies", "condition", "route", "mean p̂", "accuracy", "p̂ − accuracy", "greatest"]
     heads += ["of", "AUROC", "least", "ECE", "greatest"]
     rows = [
@@ -232,13 +232,13 @@ def _audit(findings: Findings) -> Table:
             _three(row["calibration_error"]),
             _three(row["greatest_calibration_error"]),
         ]
-        for row in findings.audit
+        for row in shown
     ]
     note = (
         "Means over cells, and the worst cell. A warning where p̂ is above the accuracy by more "
         f"than {PARTING:g}."
     )
-    note = _noted(findings, note, [row["front"] for row in findings.audit])
+    note = _noted(findings, note, [row["front"] for row in shown])
     return Table("Audit: estimated correctness p̂ against the truth", heads, rows, note, words=3)
 
 
