@@ -20,6 +20,7 @@ COMMANDS = {
     "bank": "make and inspect score banks, from images or scores, recorded or simulated",
     "train": "train a selector",
     "compare": "compare policies on score banks",
+    "failures": "draw contact sheets of the failures of a comparison",
     "study": "study policies over seeds, λ and motions, with intervals",
     "reproduce": "run the paper's experiments on its data sets",
     "map": "describe a map once, as one folder that a robot loads",

@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -33,6 +33,8 @@ from amusic_gym.utils.storage import keep_only, write_whole
 ROWS, TRACES, LISTS, RESULTS = "rows", "traces", "lists", "results.json"
 
 Report = Callable[[str], None]
+
+_Item = TypeVar("_Item")
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,7 @@ def compare(
         raise ValueError("no policy to compare; give at least one")
     out = Path(out)
     refuse_within_bank(out)
-    files = [out / TRACES / f"{stem}.csv" for stem in distinct([_stem(e) for e in entries])]
+    files = [out / TRACES / f"{stem}.csv" for stem in trace_stems([e.key for e in entries])]
     lists = [out / LISTS / file.name for file in files] if top is not None else []
     run_on = {entry.context.bank.name: entry.context.bank for entry in entries}
     images = {name: BankImages.load(bank) for name, bank in run_on.items()}
@@ -236,9 +238,20 @@ def _renamed(bank: ScoreBank, name: str) -> ScoreBank:
     return view
 
 
-def _stem(entry: _Entry) -> str:
-    weight = "" if entry.compute_weight is None else f"-{entry.compute_weight:g}"
-    return file_stem(f"{entry.context.bank.name}-{entry.contestant.name}{weight}")
+def trace_stems(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Names of the traces' files, without their ends, of all rows of ``results.json``."""
+    weights = (row["compute_weight"] for row in rows)
+    ends = ("" if weight is None else f"-{weight:g}" for weight in weights)
+    names = [f"{row['bank']}-{row['policy']}{end}" for row, end in zip(rows, ends, strict=True)]
+    return distinct([file_stem(name) for name in names])
+
+
+def spread(items: Sequence[_Item], count: int) -> list[_Item]:
+    """At most ``count`` of the items, evenly spaced, the ends among them."""
+    if len(items) <= count:
+        return list(items)
+    steps = max(count - 1, 1)
+    return [items[round(i * (len(items) - 1) / steps)] for i in range(count)]
 
 
 # ---- table ---------------------------------------------------------------------------------

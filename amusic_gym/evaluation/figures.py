@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from amusic_gym.evaluation.audit import PARTING, audit
-from amusic_gym.evaluation.comparison import Comparison, rows_by_bank
+from amusic_gym.evaluation.comparison import Comparison, rows_by_bank, spread
 from amusic_gym.evaluation.plots import labels
 from amusic_gym.evaluation.report import ReportFigure, write_report
 from amusic_gym.evaluation.tables import Table
@@ -127,14 +127,6 @@ def _panels(traces: Sequence[Trace]) -> list[Trace]:
     room = max(1, MOST_PANELS - len(plain))
     chosen = [*plain[:MOST_PANELS], *spread(swept, room)]
     return [trace for trace in varied if any(trace is other for other in chosen)]
-
-
-def spread(items: Sequence[Trace], count: int) -> list[Trace]:
-    """At most ``count`` of the items, evenly spaced, the ends among them."""
-    if len(items) <= count:
-        return list(items)
-    steps = max(count - 1, 1)
-    return [items[round(i * (len(items) - 1) / steps)] for i in range(count)]
 
 
 def _trusted(traces: Sequence[Trace]) -> list[Trace]:
