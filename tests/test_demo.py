@@ -6,6 +6,7 @@ import json
 from functools import partial
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from amusic_agents.config import RolloutConfig, TrainingConfig
 
@@ -72,23 +73,54 @@ def test_best_within_takes_the_cheaper_of_equals_and_else_the_cheapest():
 
 
 def test_story_says_who_is_ahead_level_and_behind():
-    lines = story.on_tours(FINDINGS, {"trained here": "The selector"})
+    tale = story.on_tours(FINDINGS, {"trained here": "The selector"})
+    lines = tale.sentences
     assert lines[0] == (
         "The selector reaches AUC 0.880 (0.870 to 0.890) at 35% of the compute of all techniques"
-        " (λ 0.2). At no more compute it is ahead of A+B (0.700 at 30%; difference +0.100 to"
-        " +0.250), random, p = 0.3 (0.600 at 30%; difference +0.200 to +0.300); level with cascade"
-        " (1/9/0.5) (0.870 at 30%; difference -0.020 to +0.030); behind all every 2 frames (0.900"
-        " at 30%; difference -0.030 to -0.010). Of rules under which nothing may run on a frame it"
-        " is ahead of value of information, may idle (0.600 at 30%)."
+        " (λ 0.2). At no more compute it is ahead of A+B (0.700), random, p = 0.3 (0.600); level"
+        " with cascade (1/9/0.5) (0.870); behind all every 2 frames (0.900). Of rules under which"
+        " nothing may run on a frame it is ahead of value of information, may idle (0.600)."
     )
     assert "A-MuSIC as in the paper: 0.800 at 40%" in lines[1]
     assert "the selector's statistic: 0.850 at 45%" in lines[1]
     assert "over 2 tours and 3 draws, of one training" in lines[1]
     assert lines[2] == (
-        "Estimated correctness is too high by more than 0.1 on some tour for random"
-        " (study/tables.md)."
+        "Estimated correctness is too high by more than 0.1 on some tour for random: see the audit."
     )
     assert len(lines) == 3
+    rivals = ["subset:A+B", "random:0.3", "cascade:1/9/0.5", "periodic:2", "voi:idle"]
+    assert tale.rivals == rivals
+    assert tale.weights == {"trained here": 0.2}
+    assert [row[:2] for row in tale.table.rows] == [
+        ["trained here, λ 0.2", verdict]
+        for verdict in ("ahead of", "ahead of", "level with", "behind", "ahead of")
+    ]
+    assert tale.table.rows[2][2:] == [
+        *("cascade (1/9/0.5)", "cascade", "0.880", "0.870", "30.0%", "-0.020 to +0.030"),
+    ]
+
+
+def test_highlights_are_drives_as_spoken_of_with_stops_and_one_that_fails():
+    def drive(bank: str, policy: str, weight: float, accuracy: float) -> SimpleNamespace:
+        correct = np.arange(10) < 10 * accuracy
+        return SimpleNamespace(bank=bank, policy=policy, compute_weight=weight, correct=correct)
+
+    traces = [
+        drive("a", "own", 0.1, 0.9),
+        drive("a", "own", 0.2, 0.7),
+        drive("b", "own", 0.2, 0.2),
+        drive("a", "other", 0.2, 0.0),
+        drive("stops", "own", 0.2, 0.1),
+        drive("stops", "ppo@belief", 0.1, 0.8),
+    ]
+    tale = SimpleNamespace(weights={"own": 0.2})
+    found = story.highlights(traces, ["a", "b"], "stops", "own", tale)
+    assert [(words, traces.index(trace)) for words, trace in found] == [
+        ("as above, on a", 1),
+        ("with stops", 4),
+        ("with stops, by the belief", 5),
+        ("one that fails: λ 0.2 on b", 2),
+    ]
 
 
 def test_demo_from_worlds_to_page(monkeypatch, tmp_path, capsys):
@@ -120,9 +152,12 @@ def test_demo_from_worlds_to_page(monkeypatch, tmp_path, capsys):
     assert "On simulated-5, which no training saw, the selector trained here" in said
     assert said.count("WARNING") == 0
     rows = json.loads((out / "results.json").read_text())["rows"]
-    assert {r["bank"] for r in rows} == {"tour-1", "tour-2", "simulated-5"}
-    assert {"amusic", "music", "cascade", "single:HOG", "random:0.3", "ppo"} <= {
+    assert {r["bank"] for r in rows} == {"tour-1", "tour-2", "tour-1 with stops", "simulated-5"}
+    assert {"amusic", "music", "cascade", "single:HOG", "random:0.3", demo.SHIPS} <= {
         r["policy"] for r in rows
+    }
+    assert {"ppo@belief", "amusic:belief"} <= {
+        r["policy"] for r in rows if r["bank"] == "tour-1 with stops"
     }
     studied = json.loads((out / "study" / "study.json").read_text())
     assert {row["kind"] for row in studied["matches"]} == {
@@ -130,7 +165,7 @@ def test_demo_from_worlds_to_page(monkeypatch, tmp_path, capsys):
         "value of information",
     }
     assert {row["policy"] for row in studied["matches"]} == {
-        *("trained here", "ships", "ships, may idle"),
+        *demo.SELECTORS,
     }
     page = (out / "index.html").read_text()
     assert "data:image/png;base64" in page
@@ -138,6 +173,8 @@ def test_demo_from_worlds_to_page(monkeypatch, tmp_path, capsys):
     assert (out / "study" / "fronts.png").is_file()
     assert (out / "drive.png").is_file()
     assert (out / "drive.mp4").stat().st_size > 1000
-    assert "http://" not in page  # self-contained: it loads nothing
-    assert "https://" not in page
+    named = {row["rival"] for row in studied["matches"]} - {None}
+    assert named & {r["policy"] for r in rows}  # those that the table names have drives
+    assert "with stops, by the belief" in page
+    assert page.replace("http://www.w3.org/2000/svg", "").count("http") == 1  # the policy's tag
     assert (out / "run" / "selector.safetensors").is_file()

@@ -26,29 +26,33 @@ from amusic_gym.banks.importers import from_recording
 from amusic_gym.cli import demo_story as story
 from amusic_gym.cli import demo_tours as rendered
 from amusic_gym.cli.parser import Parser, destination
-from amusic_gym.evaluation.comparison import compare, table
-from amusic_gym.evaluation.contestants import all_subsets, contestants
-from amusic_gym.evaluation.figures import draw
-from amusic_gym.evaluation.metrics import mean_rows
+from amusic_gym.evaluation.comparison import compare
+from amusic_gym.evaluation.contestants import Contestant, all_subsets, contestants
+from amusic_gym.evaluation.figures import draw, of_page
 from amusic_gym.evaluation.report import ReportFigure, write_report
-from amusic_gym.evaluation.study import figures
+from amusic_gym.evaluation.study.figures import draw as draw_study
+from amusic_gym.evaluation.study.page import believed, page_rows
 from amusic_gym.evaluation.study.rivals import study_rivals
 
 REAL = ("HOG", "CALC", "CoHOG", "NetVLAD")
 ITERATIONS = 3
 QUICK = {"states": 3_000, "epochs": 8}
 """Of an iteration: less than the defaults, so that the training takes a minute or two."""
-PICTURED = ("amusic", "amusic:evidence", "music", "cascade", "random:0.3", "oracle", "ppo")
-"""What every bank is compared on, besides the trained selector and all fixed subsets."""
 
-PICTURED_WEIGHTS = (0.05, 0.3, 2.0)
-"""λ at which figures of single drives show the trained selector; more would not fit."""
+RULES = ("amusic", "amusic:evidence", "oracle", "cascade", "random:0.3")
+"""What every route is driven with, besides selectors, fixed subsets and the rivals named."""
 
+TRAINED, SHIPS, MAY_IDLE = (
+    *("selector trained here", "selector that ships"),
+    "selector that ships and may idle",
+)
 SELECTORS = {
-    "trained here": "On tours that no training saw, the selector trained here",
-    "ships": "The selector that ships",
-    "ships, may idle": "The one that ships and may run nothing on a frame",
+    TRAINED: "On tours that no training saw, the selector trained here",
+    SHIPS: "The selector that ships",
+    MAY_IDLE: "The one that ships and may run nothing on a frame",
 }
+FOLLOWS_STOPS = ("amusic:belief", "ppo@belief")
+"""Driven with on the route with stops, besides."""
 
 
 def training(folder: Path, iterations: int, seed: int) -> TrainingConfig:
@@ -100,44 +104,61 @@ def main(given: argparse.Namespace) -> None:
     config = training(run_folder, given.iterations, given.seed)
     tours = rendered.make_tours(out, say)
     banks = [bank.with_costs(given.costs) for bank in rendered.banks_of(tours, out, say)]
+    with_stops = rendered.with_stops(banks[0], out)
+    names = [bank.name for bank in banks]
     say(f"training a selector on simulated routes: {given.iterations} iterations")
     train(run_folder, config, resume=(run_folder / CHECKPOINT).exists())
-    trained = f"ppo:{run_folder}"
+    selectors = {TRAINED: f"ppo:{run_folder}", SHIPS: "ppo", MAY_IDLE: "ppo:idle"}
 
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*has no correct match")
-        say("comparing it")
-        comparison = compare(
-            [*banks, *others],
-            lambda bank: contestants([*PICTURED, trained, *all_subsets(bank.techniques)]),
-            out,
-            report=lambda _: None,
-        )
         say("studying it: rules of every kind at no more compute")
-        selectors = {"trained here": [trained], "ships": ["ppo"], "ships, may idle": ["ppo:idle"]}
-        findings = study_rivals(banks, selectors, out / "study")
+        findings = study_rivals(
+            banks,
+            {name: [spec] for name, spec in selectors.items()},
+            out / "study",
+            rendered.EXECUTOR,
+        )
+        tale = story.on_tours(findings, SELECTORS)
+
+        def driven(bank: ScoreBank) -> list[Contestant]:
+            own = all_subsets(bank.techniques)
+            rivals = tale.rivals if bank.name in (*names, with_stops.name) else ()
+            besides = FOLLOWS_STOPS if bank.name == with_stops.name else ()
+            named = [replace(*contestants([spec]), name=name) for name, spec in selectors.items()]
+            return [*named, *contestants([*own, *RULES, *rivals, *besides])]
+
+        say("driving with it, and with the rivals")
+        comparison = compare([*banks, with_stops, *others], driven, out, report=lambda _: None)
     say("driving live along the first tour")
     moment = rendered.drive(out, load_selector(run_folder), tours[0], banks[0])
 
-    sentences = story.on_tours(findings, SELECTORS)
-    names = [bank.name for bank in banks]
-    for name in dict.fromkeys(row["bank"] for row in comparison.rows):
-        if name not in names:
-            rows = [row for row in comparison.rows if row["bank"] == name]
-            sentences.append(story.other(name, rows, trained))
+    sentences = list(tale.sentences)
+    for name in dict.fromkeys(bank.name for bank in others):
+        rows = [row for row in comparison.rows if row["bank"] == name]
+        sentences.append(story.other(name, rows, TRAINED))
     say("drawing")
+    apart = (MAY_IDLE, *tale.rivals)  # of figures of curves, which would not fit
     pictured = [
         trace
         for trace in comparison.traces
-        if trace.compute_weight in (None, *PICTURED_WEIGHTS) and trace.policy != "ppo"
+        if trace.policy not in apart or trace.policy.startswith("single:")
     ]
+    kept = {row["policy"] for row in comparison.rows}
     write_report(
         out / "index.html",
         title="A learned selector of place-recognition techniques",
         sentences=sentences,
-        rows=[*mean_rows([r for r in comparison.rows if r["bank"] in names]), *comparison.rows],
+        rows=[
+            *(row for row in page_rows(findings) if row["policy"] in kept),
+            *(row for row in comparison.rows if row["bank"] not in names),
+        ],
+        traces=comparison.traces,
+        images=comparison.images,
+        highlights=story.highlights(comparison.traces, names, with_stops.name, TRAINED, tale),
+        tables=[tale.table],
+        below=believed(findings),
         figures=[
-            figures.draw(findings, out / "study")[0],
             ReportFigure(
                 rendered.contact_sheet(tours[0], out),
                 "One place for each spell of the first tour: as the map has it, and below as the"
@@ -148,10 +169,11 @@ def main(given: argparse.Namespace) -> None:
                 "A moment of the selector's live drive (drive.mp4): what the camera sees, the place"
                 " it is taken for, what ran and how long that took.",
             ),
-            *draw(replace(comparison, traces=pictured), out),
+            *of_page(draw(replace(comparison, traces=pictured), out)),
         ],
     )
-    print(f"\n{table(replace(comparison, traces=[]))}\n")  # without a line for every policy's p̂
+    draw_study(findings, out / "study")
+    print(f"\n{tale.table.text()}\n")
     for sentence in sentences:
         print(sentence)
     say(f"done: open {out / 'index.html'}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from amusic_gym.evaluation.audit import PARTING
 from amusic_gym.evaluation.plots.labels import policy_label
@@ -10,7 +11,9 @@ from amusic_gym.evaluation.study import Findings
 from amusic_gym.evaluation.study.findings import ahead
 from amusic_gym.evaluation.study.plan import MEAN
 from amusic_gym.evaluation.study.run import Row
+from amusic_gym.evaluation.tables import Table
 from amusic_gym.policies.registry import FRONTS, MAY_IDLE
+from amusic_gym.policies.trace import Trace
 
 
 def best_within(rows: Sequence[Row], compute: float) -> Row:
@@ -24,7 +27,27 @@ def best_within(rows: Sequence[Row], compute: float) -> Row:
     return max(fitting, key=lambda row: (round(row["auc"], 3), -row["compute"]))
 
 
-def on_tours(findings: Findings, selectors: Mapping[str, str]) -> list[str]:
+NOT_HOPELESS = 0.2
+"""Accuracy of a drive that fails and is worth a look."""
+
+
+class Tale(NamedTuple):
+    """What the study of the tours says.
+
+    Attributes:
+        sentences: the first on the first selector.
+        table: of every selector, with the best rival of each kind at no more compute.
+        rivals: policies that the table names.
+        weights: name of a selector → λ that is spoken of.
+    """
+
+    sentences: list[str]
+    table: Table
+    rivals: list[str]
+    weights: dict[str, float]
+
+
+def on_tours(findings: Findings, selectors: Mapping[str, str]) -> Tale:
     """Every selector against the best of each kind of rival on the tours.
 
     Args:
@@ -34,13 +57,16 @@ def on_tours(findings: Findings, selectors: Mapping[str, str]) -> list[str]:
     points = [row for row in findings.points if row["bank"] == MEAN]
     of = {row["policy"]: row for row in points}
     amusic, same, music = of["amusic"], of["amusic:evidence"], of["music"]
-    lines = []
+    lines, matches, weights = [], [], {}
     for name, words in selectors.items():
         own = best_within([row for row in points if row["policy"] == name], same["compute"])
+        against = _against(findings, own)
+        matches += against
+        weights[name] = own["compute_weight"]
         lines.append(
             f"{words} reaches AUC {own['auc']:.3f} ({_span(own['auc_interval'])}) at"
             f" {own['compute']:.0%} of the compute of all techniques (λ"
-            f" {own['compute_weight']:g}). {_standing(findings, own)}"
+            f" {own['compute_weight']:g}). {_standing(against)}"
         )
     lines.append(
         f"A-MuSIC as in the paper: {amusic['auc']:.3f} at {amusic['compute']:.0%}; the same rule on"
@@ -52,19 +78,52 @@ def on_tours(findings: Findings, selectors: Mapping[str, str]) -> list[str]:
     if parted := dict.fromkeys(r["front"] for r in findings.audit if r["greatest_gap"] > PARTING):
         lines.append(
             f"Estimated correctness is too high by more than {PARTING:g} on some tour for"
-            f" {', '.join(parted)} (study/tables.md)."
+            f" {', '.join(parted)}: see the audit."
         )
-    return lines
+    rivals = list(dict.fromkeys(match["rival"] for match in matches))
+    return Tale(lines, _table(matches), rivals, weights)
 
 
-def _standing(findings: Findings, own: Row) -> str:
-    """How a point of a selector stands to the best rival of each kind at no more compute."""
+def highlights(
+    traces: Sequence[Trace], tours: Sequence[str], stops: str, selector: str, tale: Tale
+) -> list[tuple[str, Trace]]:
+    """Drives to look at first: as spoken of, with stops, by the belief, and one that fails.
+
+    Args:
+        traces: of all drives.
+        tours: names of the tours' banks.
+        stops: name of the bank with stops.
+        selector: whose drives.
+        tale: which λ is spoken of.
+    """
+    own = [trace for trace in traces if trace.policy == selector]
+    spoken = [trace for trace in own if trace.compute_weight == tale.weights[selector]]
+    belief = [trace for trace in traces if trace.bank == stops and trace.policy == "ppo@belief"]
+    chosen = [
+        (f"as above, on {tours[0]}", [each for each in spoken if each.bank == tours[0]]),
+        ("with stops", [each for each in spoken if each.bank == stops]),
+        ("with stops, by the belief", belief),
+    ]
+    found = [(words, drives[0]) for words, drives in chosen if drives]
+    ranked = sorted(
+        (trace for trace in own if trace.bank in tours), key=lambda trace: trace.correct.mean()
+    )
+    worst = next((each for each in ranked if each.correct.mean() >= NOT_HOPELESS), ranked[0])
+    return [*found, (f"one that fails: λ {worst.compute_weight:g} on {worst.bank}", worst)]
+
+
+def _against(findings: Findings, own: Row) -> list[Row]:
+    """The best rival of each kind at no more compute than a point of a selector."""
     key = ("bank", "policy", "compute_weight")
-    matches = [
+    return [
         row
         for row in findings.matches
         if all(row[name] == own[name] for name in key) and row["rival"] is not None
     ]
+
+
+def _standing(matches: Sequence[Row]) -> str:
+    """How a point of a selector stands to its rivals, by name."""
     idle = [row for row in matches if row["kind"] == FRONTS[MAY_IDLE]]
     others = [row for row in matches if row["kind"] != FRONTS[MAY_IDLE]]
     said = f"At no more compute it is {_verdicts(others)}." if others else "Nothing is so cheap."
@@ -73,24 +132,38 @@ def _standing(findings: Findings, own: Row) -> str:
     return said
 
 
+VERDICTS = {True: "ahead of", None: "level with", False: "behind"}
+
+
 def _verdicts(matches: Sequence[Row]) -> str:
-    groups = {True: "ahead of", None: "level with", False: "behind"}
     parts = []
-    for verdict, words in groups.items():
+    for verdict, words in VERDICTS.items():
         if named := [_named(row) for row in matches if ahead(row) is verdict]:
             parts.append(f"{words} {', '.join(named)}")
     return "; ".join(parts)
 
 
 def _named(match: Row) -> str:
-    """A rival and what it reaches: "HOG (0.676 at 3%; difference +0.110 to +0.310)"."""
+    """A rival and its AUC: "HOG (0.676)"."""
+    return f"{_rival(match)} ({match['rival_auc']:.3f})"
+
+
+def _rival(match: Row) -> str:
     weight = "" if match["rival_weight"] is None else f", λ {match['rival_weight']:g}"
-    spread = match["difference_interval"]
-    difference = "" if spread is None else f"; difference {_span(spread, '+')}"
-    return (
-        f"{policy_label(match['rival'])}{weight} ({match['rival_auc']:.3f} at"
-        f" {match['rival_compute']:.0%}{difference})"
-    )
+    return policy_label(match["rival"]) + weight
+
+
+def _table(matches: Sequence[Row]) -> Table:
+    rows = [
+        [f"{match['policy']}, λ {match['compute_weight']:g}", VERDICTS[ahead(match)]]
+        + [_rival(match), match["kind"], f"{match['rival_auc'] + match['difference']:.3f}"]
+        + [f"{match['rival_auc']:.3f}", f"{match['rival_compute']:.1%}"]
+        + [_span(match["difference_interval"] or [match["difference"]], "+")]
+        for match in matches
+    ]
+    heads = ["selector", "is", "rival", "the best of", "AUC", "rival's", "its compute"]
+    title = "The best rival of each kind at no more compute"
+    return Table(title, [*heads, "difference, 95 %"], rows, words=4)
 
 
 def _span(ends: Sequence[float], sign: str = "") -> str:

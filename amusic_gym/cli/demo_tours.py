@@ -14,9 +14,12 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.envs.pictures.drive import Pictures
 from amusic_gym.envs.task import RENDER_FPS
+from amusic_gym.evaluation.comparison import file_stem
 from amusic_gym.extraction import Cache, describe_map, extract
 from amusic_gym.live.navigation import navigate
 from amusic_gym.policies.protocol import Selector
+from amusic_gym.routes.motion import PACED
+from amusic_gym.routes.retime import save_retimed
 from amusic_gym.routes.tours import Tour, make_tour
 from amusic_gym.routes.video import VideoWriter
 from amusic_gym.techniques import make_technique
@@ -27,6 +30,7 @@ TECHNIQUES = ("hog", "calc", "netvlad", "cohog")
 TOLERANCE = 1
 PLACES = 100
 SEEDS = (1, 2, 3)
+STOPS_SEED = 3
 EXECUTOR = "process:2"
 COMPUTE_WEIGHT = 0.3
 INTO_SPELL = 20
@@ -88,6 +92,14 @@ def banks_of(tours: Sequence[Tour], out: Path, say: Callable[[str], None]) -> li
             )
             banks.append(bank)
     return banks
+
+
+def with_stops(bank: ScoreBank, out: Path) -> ScoreBank:
+    """The bank of a tour as a robot records it that stops, and drives slower and faster."""
+    name = f"{bank.name} with stops"
+    whole = bank.with_costs(bank._given[0])
+    path = save_retimed(whole, STOPS_SEED, out / "banks" / file_stem(name), PACED, name=name)
+    return ScoreBank.load(path).with_costs(bank.costs)
 
 
 def contact_sheet(tour: Tour, out: Path) -> Path:

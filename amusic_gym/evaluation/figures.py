@@ -16,7 +16,8 @@ from amusic_gym.policies.trace import Trace
 from amusic_gym.utils.names import distinct, file_stem
 from amusic_gym.utils.storage import keep_only
 
-MOST_CURVES = 16  # more traces than these in a figure of curves: subsets are left out
+MOST_CURVES = 16  # in a figure; of more the subsets are left out, then the last
+MOST_SHADES = 3  # λ of one policy in a figure of curves
 MOST_PANELS = 8  # traces in a figure of selections
 NEAR = 0.02
 """Difference of AUC that a headline passes over."""
@@ -73,7 +74,6 @@ def headline(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def write_page(comparison: Comparison, folder: str | Path) -> Path:
     """Draw the figures, and write ``index.html``, whose script draws fronts and routes itself."""
-    figures = draw(comparison, folder)
     several = len({row["bank"] for row in comparison.rows}) > 1
     rows = [*(comparison.mean if several else []), *comparison.rows]
     return write_report(
@@ -81,11 +81,16 @@ def write_page(comparison: Comparison, folder: str | Path) -> Path:
         title=f"Policies on {', '.join(dict.fromkeys(row['bank'] for row in comparison.rows))}",
         sentences=[headline([row for row in rows if row["bank"] == rows[0]["bank"]])],
         rows=rows,
-        figures=[each for each in figures if not Path(each.path).name.startswith(DRAWN)],
+        figures=of_page(draw(comparison, folder)),
         traces=comparison.traces,
         images=comparison.images,
         below=believed(comparison.traces),
     )
+
+
+def of_page(figures: Sequence[ReportFigure]) -> list[ReportFigure]:
+    """Those that the page's script does not draw itself."""
+    return [each for each in figures if not Path(each.path).name.startswith(DRAWN)]
 
 
 def believed(traces: Sequence[Trace]) -> list[Table]:
@@ -113,10 +118,14 @@ def _has_front(rows: Sequence[dict[str, Any]]) -> bool:
 
 
 def _curves(traces: Sequence[Trace]) -> list[Trace]:
-    """The traces that a figure of curves can hold: no subsets where there are many."""
+    """The traces that a figure of curves can hold: of many λ a few, of many policies no subsets."""
+    for policy in dict.fromkeys(trace.policy for trace in traces):
+        own = [trace for trace in traces if trace.policy == policy]
+        dropped = {id(each) for each in own} - {id(each) for each in spread(own, MOST_SHADES)}
+        traces = [trace for trace in traces if id(trace) not in dropped]
     if len(traces) <= MOST_CURVES:
         return list(traces)
-    return [trace for trace in traces if not _is_subset(trace)] or list(traces[:MOST_CURVES])
+    return ([trace for trace in traces if not _is_subset(trace)] or list(traces))[:MOST_CURVES]
 
 
 def _panels(traces: Sequence[Trace]) -> list[Trace]:

@@ -211,7 +211,7 @@ function drawFront() {
   const told = (o) => `${o.words}: AUC ${o.p[1].toFixed(3)}${o.p[2] ? ` (95 %: ${o.p[2].map((v) => v.toFixed(3)).join(" to ")})` : ""}, compute ${percent(o.p[0])}`;
   points.forEach((o, number) => {
     const go = driveOf(o.p), small = o.group === "fixed subset", current = go >= 0 && go === state.drive;
-    if (o.p[2] && !small) draw(svg, "path", { class: "interval", stroke: grey(o), d: `M${x(o.x)} ${y(Math.max(base - pad, o.p[2][0]))}V${y(Math.min(top + pad, o.p[2][1]))}` });
+    if (o.p[2] && current) draw(svg, "path", { class: "interval", stroke: grey(o), d: `M${x(o.x)} ${y(Math.max(base - pad, o.p[2][0]))}V${y(Math.min(top + pad, o.p[2][1]))}` });
     const dot = draw(svg, "circle", { cx: x(o.x), cy: y(o.p[1]), r: current ? 8 : small ? 4 : 5.5, fill: DATA.policies[o.p[3]][3] ? "var(--paper)" : grey(o), stroke: grey(o), class: current ? "current" : small ? "small" : "", role: "button", tabindex: number ? -1 : 0, "aria-label": told(o), "aria-pressed": current });
     draw(dot, "title", {}, told(o));
     dot.addEventListener("focus", () => { $("front-told").textContent = told(o) + (go < 0 ? "" : "; Enter shows its drive"); });

@@ -8,6 +8,7 @@ on a phone and on paper, light and dark, with a keyboard and with a screen reade
 from __future__ import annotations
 
 import base64
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -124,6 +125,10 @@ def write_report(
         raise ValueError("rows is empty; give at least one results row")
     sources = [figure.source for figure in figures]  # refused before anything is written
     beside = Beside(Path(path))
+    data = Markup(page_data(rows, traces, images or {}, highlights, beside))
+    for at, figure in enumerate(figures):
+        if not beside.inside(sources[at]):
+            sources[at] = Path(os.path.relpath(figure.path, Path(path).parent)).as_posix()
     environment = Environment(
         autoescape=True, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined
     )
@@ -138,7 +143,7 @@ def write_report(
         tables=tables,
         below=below,
         mark=MARK,
-        data=Markup(page_data(rows, traces, images or {}, highlights, beside)),
+        data=data,
         script=Markup(Path(__file__).with_suffix(".js").read_text("utf-8")),
     )
     written = write_whole(path, page.encode())

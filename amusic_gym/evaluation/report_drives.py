@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.evaluation.plots import labels
-from amusic_gym.policies.registry import FAMILIES, FIXED, parse
+from amusic_gym.policies.registry import FAMILIES, FIXED, Family, parse
 from amusic_gym.policies.trace import Trace
 from amusic_gym.routes.bank_images import BankImages, ListedImage
 from amusic_gym.utils.colours import technique_colours
@@ -29,8 +29,8 @@ LONGEST_SIDE = 160
 COLUMNS, PER_SHEET = 10, 50
 """Pictures side by side on a sheet, and all on it."""
 
-ROOM = 4_000_000
-"""Characters of pictures in the page; more lie beside it."""
+ROOM = 5_000_000
+"""Characters of pictures and figures in the page; more lie beside it."""
 
 Row = Mapping[str, Any]
 
@@ -53,13 +53,11 @@ class Beside:
         self._written.append(write_whole(self.folder / name, content))
         return f"{self.folder.name}/{name}"
 
-    def picture(self, name: str, jpeg: bytes) -> str:
-        """The address of a picture: its data while there is room, then a file."""
-        data = f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}"
-        if len(data) > self.room:
-            return self.write(name, jpeg)
-        self.room -= len(data)
-        return data
+    def inside(self, data: str) -> bool:
+        """Whether there is room for a data URL in the page; if so it is taken."""
+        fits = len(data) <= self.room
+        self.room -= len(data) * fits
+        return fits
 
     def sweep(self) -> None:
         """Remove the files that an earlier page had here and this one has not."""
@@ -97,7 +95,7 @@ def page_data(
         if (held := images.get(name)) is not None:
             for kind in ("query", "reference"):
                 pictures = getattr(held, kind)
-                sheets[name, kind] = _sheets(pictures, f"{number}-{kind}", beside)
+                sheets[name, kind] = _sheets(pictures, f"{number}-{kind}", beside, not number)
     of = {id(trace): number for number, trace in enumerate(order)}
     data = {
         "scopes": _scopes(rows),
@@ -180,12 +178,12 @@ def _policies(rows: Sequence[Row], techniques: Sequence[str]) -> dict[str, list[
     own = technique_colours(techniques)
     swept: dict[str, str] = {}
     for row in rows:
-        if row["compute_weight"] is not None:
+        if row["compute_weight"] is not None and not _family(row["policy"]).colour:
             swept.setdefault(row["policy"], labels.sweep_colour(len(swept)))
     found = {}
     for policy, row in {row["policy"]: row for row in rows}.items():
         known, label = parse(policy), labels.row_label(row)
-        family = FAMILIES[known.policy.family]
+        family = _family(policy)
         colour = swept.get(policy) or family.colour or known.policy.colour
         colour = colour or own.get(known.argument or "", "")
         words = label if policy in swept or not family.best else family.best
@@ -195,10 +193,16 @@ def _policies(rows: Sequence[Row], techniques: Sequence[str]) -> dict[str, list[
     return found
 
 
+def _family(policy: str) -> Family:
+    return FAMILIES[parse(policy).policy.family]
+
+
 # ---- pictures --------------------------------------------------------------------------------
 
 
-def _sheets(images: Sequence[ListedImage], name: str, beside: Beside) -> dict[str, Any]:
+def _sheets(
+    images: Sequence[ListedImage], name: str, beside: Beside, inside: bool
+) -> dict[str, Any]:
     """Small pictures of all images, `PER_SHEET` to a sheet; every one in a box of the first's."""
     import cv2
 
@@ -212,7 +216,9 @@ def _sheets(images: Sequence[ListedImage], name: str, beside: Beside) -> dict[st
             picture = _picture(image)[:height, :width]
             sheet[top : top + picture.shape[0], left : left + picture.shape[1]] = picture
         jpeg = cv2.imencode(".jpg", sheet, [cv2.IMWRITE_JPEG_QUALITY, 72])[1].tobytes()
-        urls.append(beside.picture(f"{name}-{len(urls)}.jpg", jpeg))
+        data = f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}"
+        file = f"{name}-{len(urls)}.jpg"
+        urls.append(data if inside and beside.inside(data) else beside.write(file, jpeg))
     return {
         **{"width": width, "height": height, "columns": COLUMNS, "per": PER_SHEET},
         **{"count": len(images), "urls": urls},

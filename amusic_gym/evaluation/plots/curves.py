@@ -20,17 +20,25 @@ if TYPE_CHECKING:
     from amusic_gym.policies.trace import Trace
 
 
+GOOD, FIRST_RECALL = 0.5, 0.1
+"""AUC of the curves that the axis is fitted to, and the recall from which on."""
+
+SHADES: tuple[Any, ...] = ((0, (1.2, 1.2)), (0, (5, 1.5)), "-")
+"""Lines of a selector's least, middle and greatest compute weights."""
+
+
 def precision_recall(traces: Sequence[Trace], path: str | Path) -> Path:
     """Precision-recall curves of several traces of one bank, ordered by AUC.
 
     Each curve ends in a dot: every frame accepted. A technique keeps its colour, dotted without
-    SIC; a selector's curves go from light to dark with its compute weight.
+    SIC; a selector's curves go from light to dark, and from dots to a line, with its compute
+    weight. The axis of precision begins below the curves of at least `GOOD`; others may leave it.
     """
     bank = only({trace.bank for trace in traces}, "bank", "traces")
     colours = _curve_colours(traces)
     with figure_at(path, 7.6, max(4.2, 1.4 + 0.21 * len(traces))) as figure:
         axes = figure.add_subplot()
-        drawn = []
+        drawn, lows = [], [1.0]
         for trace in traces:
             precision, recall = metrics.curve(trace)
             named = parse(trace.policy)
@@ -39,16 +47,22 @@ def precision_recall(traces: Sequence[Trace], path: str | Path) -> Path:
                 recall,
                 precision,
                 color=colours[_identity(trace)],
-                linestyle="--" if named.is_variant else named.policy.line,
+                linestyle=_line(trace, traces) or ("--" if named.is_variant else named.policy.line),
                 linewidth=1.3 if plain else 2.2,
                 zorder=2.5 if plain else 3.0,
                 marker="o",
                 markersize=4.5,
                 markevery=[recall.size - 1],
             )
-            drawn.append((metrics.area(precision, recall), line, labels.trace_label(trace)))
+            area = metrics.area(precision, recall)
+            drawn.append((area, line, labels.trace_label(trace)))
+            if area >= GOOD:  # the first few matches swing to and fro
+                lows.append(precision[recall >= FIRST_RECALL].min())
         drawn.sort(key=lambda entry: -entry[0])
-        axes.set(xlim=(0, 1.015), ylim=(0, 1.03), xlabel="Recall", ylabel="Precision")
+        low = min(lows) if drawn[0][0] >= GOOD else 0.0
+        margin = max(0.04 * (1.0 - low), 0.002)
+        axes.set(xlim=(0, 1.015), ylim=(max(0.0, low - margin), 1.0 + margin))
+        axes.set(xlabel="Recall", ylabel="Precision")
         axes.set_title(f"Precision and recall on {labels.bank_label(bank)}")
         axes.grid()
         figure.legend(
@@ -116,6 +130,15 @@ def reliability(
 
 def _identity(trace: Trace) -> tuple[str, float | None]:
     return trace.policy, trace.compute_weight
+
+
+def _line(trace: Trace, traces: Sequence[Trace]) -> Any:
+    """The line of a selector's curve by its compute weight; None for other policies."""
+    weights = sorted(w for p, w in map(_identity, traces) if p == trace.policy and w is not None)
+    if trace.compute_weight is None or len(weights) < 2:
+        return None
+    place = weights.index(trace.compute_weight) / (len(weights) - 1)
+    return SHADES[round(place * (len(SHADES) - 1))]
 
 
 def _curve_colours(traces: Sequence[Trace]) -> dict[tuple[str, float | None], Any]:

@@ -46,8 +46,9 @@ def selections(traces: Sequence[Trace], path: str | Path) -> Path:
         for axes, trace in zip(panels, traces, strict=True):
             _draw_lanes(axes, trace, colours)
             axes.set_title(_headline(trace), fontsize=9.5)
-            axes.set_title("frames", loc="right", fontsize=8, x=1.045, color=GREY)
-        panels[-1].set_xlabel(f"Frame along the route of {labels.bank_label(bank)}")
+            axes.set_title("of frames", loc="right", fontsize=8, x=1.06, color=GREY)
+        figure.suptitle(f"Techniques run along {labels.bank_label(bank)}", x=0.01, ha="left")
+        panels[-1].set_xlabel("Frame")
         figure.legend(
             handles=_lane_legend(traces),
             loc="outside lower center",

@@ -34,10 +34,13 @@ def write_page(findings: Findings, folder: str | Path) -> Path:
 
 def page_rows(findings: Findings) -> list[Row]:
     """The points of a study as rows of a page, the means first; a bank for each condition."""
+    frames = {route["bank"]: route["queries"] for route in findings.routes}
+    frames[MEAN] = sum(frames.values())
     several = len(findings.settings["conditions"]) > 1
     rows = [
         {
             **point,
+            "queries": frames[point["bank"]],  # of one draw
             "label": _label(point["policy"], findings.settings["needs_truth"]),
             "bank": point["bank"] + f", {CONDITIONS[point['condition']]}" * several,
         }

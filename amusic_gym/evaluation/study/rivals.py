@@ -36,7 +36,10 @@ def rivals(techniques: Sequence[str]) -> list[str]:
 
 
 def study_rivals(
-    banks: Sequence[ScoreBank], selectors: Mapping[str, Sequence[str]], out: Path
+    banks: Sequence[ScoreBank],
+    selectors: Mapping[str, Sequence[str]],
+    out: Path,
+    executor: str = "serial",
 ) -> Findings:
     """Selectors against all fixed subsets and `rivals`; ``out`` keeps what is finished.
 
@@ -44,6 +47,7 @@ def study_rivals(
         banks: with the same techniques and cost model.
         selectors: name → policies, one for all draws or one for each.
         out: the folder.
+        executor: as `run` takes it.
     """
     lineup = Lineup(
         policies=tuple(rivals(banks[0].techniques)),
@@ -58,7 +62,7 @@ def study_rivals(
         seeds=range(DRAWS),
         conditions=("recorded",),
     )
-    findings = find(plan, run(plan, out, report=lambda _: None))
+    findings = find(plan, run(plan, out, executor=executor, report=lambda _: None))
     findings.write(out)
     write_markdown(findings, out)
     return findings
