@@ -16,7 +16,7 @@ from rollout_cases import Cycle, assert_same
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.estimation.settings import SICSettings
-from amusic_gym.evaluation import store
+from amusic_gym.evaluation import figures, store
 from amusic_gym.evaluation.audit import audit
 from amusic_gym.evaluation.comparison import (
     Comparison,
@@ -443,12 +443,12 @@ def test_audit_is_over_the_frames_that_have_an_estimate():
 
 def figure_names(tmp_path, *names, weights=(1.0,), banks=None) -> set[str]:
     result = compare(banks or two_banks(), Lineup(*names, weights=weights), tmp_path, report=len)
-    figures = draw(result, tmp_path)
-    for figure in figures:
+    drawn = draw(result, tmp_path)
+    for figure in drawn:
         assert Path(figure.path).read_bytes().startswith(b"\x89PNG")
         assert figure.caption.endswith(".")
-    assert {Path(figure.path) for figure in figures} == set(tmp_path.glob("*.png"))
-    return {Path(figure.path).name for figure in figures}
+    assert {Path(figure.path) for figure in drawn} == set(tmp_path.glob("*.png"))
+    return {Path(figure.path).name for figure in drawn}
 
 
 def test_figures_of_every_bank_and_of_their_mean(tmp_path):
@@ -477,6 +477,36 @@ def test_figures_of_many_policies(tmp_path):
     names = [*all_subsets(bank.techniques), *(f"random:0.{n}" for n in range(1, 10)), "weighted"]
     weights = [0.1, 0.2, 0.5, 1.0, 2.0, 3.0]
     assert len(figure_names(tmp_path, *names, weights=weights, banks=[bank])) == 4
+
+
+def test_a_figure_of_curves_holds_the_ends_and_the_middle_of_many_weights(tmp_path):
+    bank = random_bank(1, techniques=5, queries=20)
+    names = [*all_subsets(bank.techniques), "weighted"]
+    weights = [0.1, 0.2, 0.5, 1.0, 2.0]
+    result = compare([bank], Lineup(*names, weights=weights), tmp_path, report=len)
+    shown = figures._curves(result.traces)
+    weighted = [trace.compute_weight for trace in shown if trace.policy == "weighted"]
+    assert weighted == [0.1, 0.5, 2.0]
+    assert {trace.policy for trace in shown} == {
+        *("music", "weighted"),
+        *(f"single:{name}" for name in bank.techniques),
+    }
+    assert len(figures._curves(result.traces[:31])) <= figures.MOST_CURVES
+
+
+def test_a_headline_names_the_best_and_the_cheapest_that_is_near():
+    def row(policy: str, auc: float, compute: float, weight: float | None = None) -> dict:
+        return {"policy": policy, "auc": auc, "compute": compute, "compute_weight": weight}
+
+    rows = [row("music", 0.9, 1.0), row("single:A", 0.5, 0.1), row("oracle", 1.0, 0.1)]
+    assert figures.headline(rows) == (
+        "Of 2 policies, MuSIC has the highest AUC, 0.900, at 100% of the compute of all techniques;"
+        " nothing cheaper comes within 0.02 of it."
+    )
+    rows += [row("ppo", 0.89, 0.4, 0.3), row("ppo", 0.885, 0.3, 0.6), row("amusic", 0.9004, 0.9)]
+    said = figures.headline(rows)
+    assert "A-MuSIC has the highest AUC, 0.900, at 90%" in said  # equal to three digits: cheaper
+    assert said.endswith("selector, λ 0.6 comes within 0.02 of it at 30%.")
 
 
 def test_summary_of_a_kept_row_is_stored_beside_its_trace(tmp_path):

@@ -157,6 +157,29 @@ def test_curves_are_listed_by_auc_with_their_numbers(tmp_path: Path, drawn: list
     assert listed == [f"{-area:.3f}  {name}" for area, name in expected]
 
 
+def test_curves_fill_the_axes_and_those_of_a_selector_differ(
+    tmp_path: Path, drawn: list[Figure]
+) -> None:
+    good = [made_up("ppo", seed=seed, weight=0.1 * seed) for seed in (1, 2, 3)]
+    lost = {"correct": np.arange(60) < 6}
+    bad = Trace(**{**vars(made_up("music")), **lost})
+    plots.precision_recall(good, tmp_path / "a.png")
+    plots.precision_recall([*good, bad], tmp_path / "b.png")
+    plots.precision_recall([bad], tmp_path / "c.png")
+    least = []
+    for trace in good:
+        precision, recall = metrics.curve(trace)
+        least.append(precision[recall >= 0.1].min())
+    low, high = drawn[0].axes[0].get_ylim()
+    assert 0.5 < min(least) - 0.03 < low < min(least)
+    assert 1.0 < high < 1.03
+    assert drawn[1].axes[0].get_ylim() == (low, high)  # the bad one may leave the axes
+    assert drawn[2].axes[0].get_ylim()[0] == 0
+    lines = drawn[0].axes[0].get_lines()
+    looks = {(line.get_color(), str(line._unscaled_dash_pattern)) for line in lines}
+    assert len(looks) == len({dashes for _, dashes in looks}) == 3
+
+
 def test_front_names_the_best_subsets_and_every_weight(tmp_path: Path, drawn: list[Figure]) -> None:
     plots.front(some_rows(), tmp_path / "front.png")
     seen = texts(drawn[0])
