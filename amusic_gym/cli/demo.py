@@ -129,7 +129,8 @@ def main(given: argparse.Namespace) -> None:
             return [*named, *contestants([*own, *RULES, *rivals, *besides])]
 
         say("driving with it, and with the rivals")
-        comparison = compare([*banks, with_stops, *others], driven, out, report=lambda _: None)
+        comparison = compare([*banks, *others], driven, out, report=lambda _: None)
+        stops = compare([with_stops], driven, out / "stops", report=lambda _: None)
     say("driving live along the first tour")
     moment = rendered.drive(out, load_selector(run_folder), tours[0], banks[0])
 
@@ -144,6 +145,7 @@ def main(given: argparse.Namespace) -> None:
         for trace in comparison.traces
         if trace.policy not in apart or trace.policy.startswith("single:")
     ]
+    traces = [*comparison.traces, *stops.traces]
     kept = {row["policy"] for row in comparison.rows}
     write_report(
         out / "index.html",
@@ -151,11 +153,11 @@ def main(given: argparse.Namespace) -> None:
         sentences=sentences,
         rows=[
             *(row for row in page_rows(findings) if row["policy"] in kept),
-            *(row for row in comparison.rows if row["bank"] not in names),
+            *(row for row in [*stops.rows, *comparison.rows] if row["bank"] not in names),
         ],
-        traces=comparison.traces,
-        images=comparison.images,
-        highlights=story.highlights(comparison.traces, names, with_stops.name, TRAINED, tale),
+        traces=traces,
+        images=comparison.images | stops.images,
+        highlights=story.highlights(traces, names, with_stops.name, TRAINED, tale),
         tables=[tale.table],
         below=believed(findings),
         figures=[

@@ -64,9 +64,9 @@ def on_tours(findings: Findings, selectors: Mapping[str, str]) -> Tale:
         matches += against
         weights[name] = own["compute_weight"]
         lines.append(
-            f"{words} reaches AUC {own['auc']:.3f} ({_span(own['auc_interval'])}) at"
-            f" {own['compute']:.0%} of the compute of all techniques (λ"
-            f" {own['compute_weight']:g}). {_standing(against)}"
+            f"{words} (λ {own['compute_weight']:g}) reaches AUC {own['auc']:.3f}"
+            f" ({_span(own['auc_interval'])}) at {own['compute']:.0%} of the compute of all"
+            f" techniques; {_standing(against)}."
         )
     lines.append(
         f"A-MuSIC as in the paper: {amusic['auc']:.3f} at {amusic['compute']:.0%}; the same rule on"
@@ -126,10 +126,8 @@ def _standing(matches: Sequence[Row]) -> str:
     """How a point of a selector stands to its rivals, by name."""
     idle = [row for row in matches if row["kind"] == FRONTS[MAY_IDLE]]
     others = [row for row in matches if row["kind"] != FRONTS[MAY_IDLE]]
-    said = f"At no more compute it is {_verdicts(others)}." if others else "Nothing is so cheap."
-    if idle:
-        said += f" Of rules under which nothing may run on a frame it is {_verdicts(idle)}."
-    return said
+    said = f"at no more it is {_verdicts(others)}" if others else "nothing else is so cheap"
+    return said + (f"; of rules that may run nothing, {_verdicts(idle)}" if idle else "")
 
 
 VERDICTS = {True: "ahead of", None: "level with", False: "behind"}

@@ -46,7 +46,7 @@ def selections(traces: Sequence[Trace], path: str | Path) -> Path:
         for axes, trace in zip(panels, traces, strict=True):
             _draw_lanes(axes, trace, colours)
             axes.set_title(_headline(trace), fontsize=9.5)
-            axes.set_title("of frames", loc="right", fontsize=8, x=1.06, color=GREY)
+            axes.set_title("share", loc="right", fontsize=8, x=1.045, color=GREY)
         figure.suptitle(f"Techniques run along {labels.bank_label(bank)}", x=0.01, ha="left")
         panels[-1].set_xlabel("Frame")
         figure.legend(

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 WIDTH = 7.6  # inches, also of a legend's line and, on average, of a letter beside it:
 HANDLE, LETTER = 0.6, 0.065
 MOST_LABELS = 8  # fixed subsets named in the figure
+MOST_WEIGHTS_NAMED = 16  # λ in the figure; of more every other one is named
 Row = dict[str, Any]  # of results: policy, compute_weight, compute, auc and so on
 
 
@@ -42,7 +43,8 @@ def front(rows: Sequence[Row], path: str | Path) -> Path:
             name = f"{labels.policy_label(policy)}, by compute weight λ"
             draw_sweep(axes, sweep, colour, "o-", labels.legend_name(name))
             notes += [
-                _note(row, labels.weight_label(row["compute_weight"]), colour) for row in sweep
+                _note(row, labels.weight_label(row["compute_weight"]), colour)
+                for row in sweep[:: 1 if len(swept) <= MOST_WEIGHTS_NAMED else 2]
             ]
         for row in shown:
             known = parse(row["policy"])
