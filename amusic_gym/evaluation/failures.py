@@ -11,7 +11,8 @@ from amusic_gym.evaluation.comparison import RESULTS, TRACES, spread, trace_stem
 from amusic_gym.policies.trace import FILE_COLUMNS
 from amusic_gym.routes.bank_images import ListedImage, parse_change
 from amusic_gym.utils.names import suggest
-from amusic_gym.utils.storage import keep_only, read_json, write_whole
+from amusic_gym.utils.reading import read_json
+from amusic_gym.utils.storage import keep_only, write_whole
 
 MOST = 40
 """Failures on a sheet."""

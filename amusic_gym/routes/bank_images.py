@@ -19,7 +19,8 @@ from amusic_gym.routes.conditions import Change, Condition
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.images import read_image
 from amusic_gym.techniques.protocol import Image
-from amusic_gym.utils.storage import read_json, write_whole
+from amusic_gym.utils.reading import read_json
+from amusic_gym.utils.storage import write_whole
 
 
 @dataclass(frozen=True)
