@@ -35,7 +35,7 @@ def compared(tmp_path):
     loaded = bank.save(tmp_path / "bank")
     BankImages(tuple(listed[:12]), tuple(listed[12:])).save(loaded)
     bank = type(bank).load(loaded)
-    specs = contestants(["raw:T2", "music", "oracle", "ppo"], compute_weights=(0.1,))
+    specs = contestants(["raw:T2", "music", "oracle", "voi"], compute_weights=(0.1,))
     result = compare([bank], lambda bank: specs, tmp_path / "out", report=len)
     return tmp_path / "out", result, listed
 

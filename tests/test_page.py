@@ -61,7 +61,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Comparison]:
         bank = ScoreBank(scores, ["A", "B", "C"], [1, 2, 4], tolerance=1, name=name)
         bank.path = extracted.path  # scores that fail now and then, on these images
         banks.append(bank)
-    specs = ["single:A", "raw:A", "music", "amusic", "random:0.3", "oracle", "ppo"]
+    specs = ["single:A", "raw:A", "music", "amusic", "random:0.3", "oracle", "voi"]
     policies = contestants(specs, compute_weights=(0.1, 2.0))
     result = compare(banks, lambda bank: policies, folder / "out", report=len)
     return write_page(result, folder / "out"), result
