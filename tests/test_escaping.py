@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from amusic_gym.evaluation.comparison import file_stem
 from amusic_gym.evaluation.tables import Table
 from amusic_gym.utils.escaping import CsvWriter, for_csv, for_markdown, for_terminal
+from amusic_gym.utils.names import file_stem
 
 
 @given(st.text())

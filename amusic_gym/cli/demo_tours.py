@@ -14,7 +14,6 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.envs.pictures.drive import Pictures
 from amusic_gym.envs.task import RENDER_FPS
-from amusic_gym.evaluation.comparison import file_stem
 from amusic_gym.extraction import Cache, describe_map, extract
 from amusic_gym.live.navigation import navigate
 from amusic_gym.policies.protocol import Selector
@@ -23,6 +22,7 @@ from amusic_gym.routes.retime import save_retimed
 from amusic_gym.routes.tours import Tour, make_tour
 from amusic_gym.routes.video import VideoWriter
 from amusic_gym.techniques import make_technique
+from amusic_gym.utils.names import file_stem
 from amusic_gym.utils.storage import write_whole
 from amusic_gym.worlds import Kind, render_folders
 
