@@ -862,7 +862,14 @@ def test_command_runs_prints_and_resumes(run_script, tmp_path, folders, trained)
         EVERYONE,
     }
     made = {path.name for path in out.iterdir()}
-    assert made == {"cells", "study.json", "tables.md", "fronts.png", ".amusic-written.json"}
+    assert made == {
+        "cells",
+        "study.json",
+        "tables.md",
+        "fronts.png",
+        "index.html",
+        ".amusic-written.json",
+    }
     assert "Audit: estimated correctness" in done.stdout
     dry = run_script("study.py", *words, "--dry-run")
     assert dry.stdout.splitlines()[-1] == "22 of 22 cells finished, 0 to compute"
