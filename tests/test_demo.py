@@ -148,7 +148,7 @@ def test_demo_from_worlds_to_page(monkeypatch, tmp_path, capsys):
     assert not out.exists()
     start("demo", [*arguments, "--costs", "runs"])
     said = capsys.readouterr().out
-    assert "On tours that no training saw, the selector trained here (λ" in said
+    assert "On tours that no training saw, the selector that ships (λ" in said
     assert "On simulated-5, which no training saw, the selector trained here" in said
     assert said.count("WARNING") == 0
     rows = json.loads((out / "results.json").read_text())["rows"]

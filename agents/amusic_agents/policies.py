@@ -87,7 +87,7 @@ POLICIES = {
         "ppo@",
         ppo_of_statistic,
         LEARNED,
-        label_of="ppo@{}".format,
+        label_of="selector ({})".format,
         reads_weight=lambda argument: True,
         facts=lambda argument: _facts(run_of_statistic(argument)),
     ),

@@ -47,8 +47,8 @@ TRAINED, SHIPS, MAY_IDLE = (
     "selector that ships and may idle",
 )
 SELECTORS = {
-    TRAINED: "On tours that no training saw, the selector trained here",
-    SHIPS: "The selector that ships",
+    SHIPS: "On tours that no training saw, the selector that ships",
+    TRAINED: "The one trained here",
     MAY_IDLE: "The one that ships and may run nothing on a frame",
 }
 FOLLOWS_STOPS = ("amusic:belief", "ppo@belief")
@@ -157,7 +157,7 @@ def main(given: argparse.Namespace) -> None:
         ],
         traces=traces,
         images=comparison.images | stops.images,
-        highlights=story.highlights(traces, names, with_stops.name, TRAINED, tale),
+        highlights=story.highlights(traces, names, with_stops.name, SHIPS, tale),
         tables=[tale.table],
         below=believed(findings),
         figures=[
