@@ -111,10 +111,15 @@ def reproduce(
     return write_report(
         out / "index.html",
         title="The paper's experiments, run again",
-        sentences=[
-            f"Ours on {there}, beside what the paper says.",
-            *(f"{TITLES[name]}: {'; '.join(remarks[name])}." for name in TITLES if remarks[name]),
-        ],
+        sentences=[f"Ours on {there}, beside what the paper says."],
         rows=[*paper.mean, *paper.rows],
         figures=drawn,
+        traces=paper.traces,
+        images=paper.images,
+        highlights=[
+            (f"A-MuSIC on {TITLES[trace.bank]}", trace)
+            for trace in paper.traces
+            if trace.policy == METHODS["A-MuSIC"]
+        ],
+        tables=shown,
     )
