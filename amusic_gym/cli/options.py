@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from amusic_gym.techniques import TECHNIQUES
+
 MANY: dict[str, Any] = {"nargs": "+", "action": "extend", "default": []}
 """Of an option that takes several values and may be repeated."""
 
@@ -73,7 +75,7 @@ SHARED: dict[str, dict[str, Any]] = {
         "action": "store_true",
         "help": "leave damaged images out; the others keep their numbers for the ground truth",
     },
-    "--techniques": {"metavar": "A,B", "help": "hog, cohog, calc, netvlad, package.module:Class"},
+    "--techniques": {"metavar": "A,B", "help": f"{', '.join(TECHNIQUES)}, package.module:Class"},
     "--tolerance": {
         "type": int,
         "metavar": "N",

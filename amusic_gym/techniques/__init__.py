@@ -29,6 +29,8 @@ TECHNIQUES: dict[str, str | Factory] = {
     "cohog": "amusic_gym.techniques.cohog:CoHOG",
     "calc": "amusic_gym.techniques.calc:CALC",
     "netvlad": "amusic_gym.techniques.netvlad:NetVLAD",
+    "gist": "amusic_gym.techniques.gist:GIST",
+    "gist-lear": "amusic_gym.techniques.gist:LearGIST",
 }
 """Name on the command line → class, or where it is: it is imported when it is used."""
 
