@@ -23,7 +23,7 @@ from amusic_gym.techniques import Technique, make_technique, register
 pytestmark = pytest.mark.slow
 
 FOLDER = Path(__file__).resolve().parent
-SHIPPED = ("hog", "cohog", "calc", "netvlad", "gist", "gist-lear")
+SHIPPED = ("hog", "cohog", "calc", "netvlad", "gist", "gist-lear", "effnet", "effnet-rmac")
 OWN = "test_techniques:ColourGrid"
 SIZES = [(60, 80), (200, 90), (1, 1), (2, 300), (480, 640)]
 

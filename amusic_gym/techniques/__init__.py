@@ -15,6 +15,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from amusic_gym.techniques.own_code import guarded, told
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
@@ -31,8 +32,13 @@ TECHNIQUES: dict[str, str | Factory] = {
     "netvlad": "amusic_gym.techniques.netvlad:NetVLAD",
     "gist": "amusic_gym.techniques.gist:GIST",
     "gist-lear": "amusic_gym.techniques.gist:LearGIST",
+    "effnet": "amusic_gym.techniques.effnet:EffNet",
+    "effnet-rmac": "amusic_gym.techniques.effnet:EffNetRMAC",
 }
-"""Name on the command line → class, or where it is: it is imported when it is used."""
+"""Name on the command line → class, or where it is: it is imported when it is used.
+
+Of a class that takes an ``argument``, this is what stands behind the name and a colon.
+"""
 
 
 def register(name: str, factory: Factory | str) -> None:
@@ -53,8 +59,9 @@ def make_technique(name: str, weights: str | Path | None = None) -> Technique:
     """Build a technique.
 
     Args:
-        name: one of ``TECHNIQUES``, upper or lower case, or ``"package.module:Class"``, a module
-            that Python finds, or of the current directory.
+        name: one of ``TECHNIQUES``, upper or lower case, where it takes some with settings behind
+            a colon; or ``"package.module:Class"``, a module that Python finds, or of the current
+            directory.
         weights: its weights file; None: those that ship, or none.
 
     Raises:
@@ -63,10 +70,11 @@ def make_technique(name: str, weights: str | Path | None = None) -> Technique:
             module or class raises something, which is its cause.
         FileNotFoundError: for a weights file that is not there.
     """
-    factory = _factory(name)
-    if weights is not None and not _takes_weights(factory):
-        raise ValueError(f"technique {name!r} takes no weights; leave out {weights}")
-    options = {} if weights is None else {"weights": weights}
+    factory, options = _with_argument(name)
+    if weights is not None:
+        if not _takes(factory, "weights"):
+            raise ValueError(f"technique {name!r} takes no weights; leave out {weights}")
+        options["weights"] = weights
     try:
         technique: object = guarded(
             f"technique {name!r} cannot be made", factory, factory, **options
@@ -83,9 +91,19 @@ def make_technique(name: str, weights: str | Path | None = None) -> Technique:
     return technique
 
 
-def _takes_weights(factory: Factory) -> bool:
+def _with_argument(name: str) -> tuple[Factory, dict[str, Any]]:
+    """What makes a technique, and what stands behind its name where that takes something."""
+    head, colon, argument = name.partition(":")
+    if colon and head.casefold() in TECHNIQUES:
+        factory = _factory(head)
+        if _takes(factory, "argument"):
+            return factory, {"argument": argument}
+    return _factory(name), {}
+
+
+def _takes(factory: Factory, name: str) -> bool:
     parameters = inspect.signature(factory).parameters
-    return "weights" in parameters or any(p.kind is p.VAR_KEYWORD for p in parameters.values())
+    return name in parameters or any(p.kind is p.VAR_KEYWORD for p in parameters.values())
 
 
 def _factory(name: str) -> Factory:
