@@ -18,6 +18,11 @@ SHARED: dict[str, dict[str, Any]] = {
         "help": "where descriptors are kept (default: $XDG_CACHE_HOME or ~/.cache, amusic-gym)",
     },
     "--costs": {"help": "cost model (default: the bank's own)"},
+    "--device": {
+        "default": "cpu",
+        "metavar": "cpu|cuda",
+        "help": "where torchscript:, onnx: and hub: run (default: %(default)s)",
+    },
     "--every": {"type": int, "metavar": "N", "help": "of a video: take each N-th frame"},
     "--every-metres": {
         "type": float,
@@ -84,8 +89,8 @@ SHARED: dict[str, dict[str, Any]] = {
     },
     "--trust": {
         "action": "store_true",
-        "help": "unpickle files of VPR-Bench or GSV-Cities: a pickle can run any code; do you trust"
-        " its author?",
+        "help": "unpickle files of VPR-Bench or GSV-Cities, and run the code behind hub:, both of"
+        " which may do anything; do you trust their authors?",
     },
     "--weights": {**MANY, "metavar": "NAME=FILE", "help": "in place of those that ship"},
 }

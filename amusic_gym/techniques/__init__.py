@@ -34,6 +34,9 @@ TECHNIQUES: dict[str, str | Factory] = {
     "gist-lear": "amusic_gym.techniques.gist:LearGIST",
     "effnet": "amusic_gym.techniques.effnet:EffNet",
     "effnet-rmac": "amusic_gym.techniques.effnet:EffNetRMAC",
+    "torchscript": "amusic_gym.techniques.any_network:TorchScript",
+    "onnx": "amusic_gym.techniques.any_network:ONNX",
+    "hub": "amusic_gym.techniques.any_network:Hub",
 }
 """Name on the command line → class, or where it is: it is imported when it is used.
 
@@ -55,7 +58,13 @@ def register(name: str, factory: Factory | str) -> None:
     TECHNIQUES[key] = factory
 
 
-def make_technique(name: str, weights: str | Path | None = None) -> Technique:
+def make_technique(
+    name: str,
+    weights: str | Path | None = None,
+    *,
+    device: str = "cpu",
+    trust: bool = False,
+) -> Technique:
     """Build a technique.
 
     Args:
@@ -63,6 +72,8 @@ def make_technique(name: str, weights: str | Path | None = None) -> Technique:
             a colon; or ``"package.module:Class"``, a module that Python finds, or of the current
             directory.
         weights: its weights file; None: those that ship, or none.
+        device: ``"cpu"`` or ``"cuda"``, for techniques that can be told.
+        trust: whether ``hub:`` may run the code of its repository.
 
     Raises:
         ValueError: for an unknown name, with the nearest suggested; for something that is no
@@ -75,6 +86,8 @@ def make_technique(name: str, weights: str | Path | None = None) -> Technique:
         if not _takes(factory, "weights"):
             raise ValueError(f"technique {name!r} takes no weights; leave out {weights}")
         options["weights"] = weights
+    told_of: dict[str, Any] = {"device": device, "trust": trust}
+    options |= {key: value for key, value in told_of.items() if _named(factory, key)}
     try:
         technique: object = guarded(
             f"technique {name!r} cannot be made", factory, factory, **options
@@ -96,9 +109,17 @@ def _with_argument(name: str) -> tuple[Factory, dict[str, Any]]:
     head, colon, argument = name.partition(":")
     if colon and head.casefold() in TECHNIQUES:
         factory = _factory(head)
-        if _takes(factory, "argument"):
+        if _named(factory, "argument"):
             return factory, {"argument": argument}
-    return _factory(name), {}
+    factory = _factory(name)
+    needed = None if ":" in name else inspect.signature(factory).parameters.get("argument")
+    if needed is not None and needed.default is needed.empty:
+        raise ValueError(f"technique {name!r} needs more behind its name: {name}:…")
+    return factory, {}
+
+
+def _named(factory: Factory, name: str) -> bool:
+    return name in inspect.signature(factory).parameters
 
 
 def _takes(factory: Factory, name: str) -> bool:

@@ -1,0 +1,64 @@
+"""Small files for techniques that need one of the user's."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from torch import nn
+
+PLAIN = "size = [24, 32]\n"
+
+
+class Small(nn.Module):
+    """Several outputs: the second is the descriptor."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        torch.manual_seed(5)
+        self.conv = nn.Conv2d(3, 6, 5, stride=4)
+
+    def forward(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        y = torch.relu(self.conv(x))
+        return y, y.mean((2, 3))
+
+
+def torchscript(folder: Path, recipe: str = PLAIN + "output = 1\n") -> Path:
+    path = folder / "small.pt"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.jit.save(torch.jit.script(Small()), path)
+    path.with_suffix(".toml").write_text(recipe)
+    return path
+
+
+def onnx_file(folder: Path, recipe: str = PLAIN, operator: str = "Relu") -> Path:
+    from onnx import TensorProto, helper, numpy_helper, save_model
+
+    conv = Small().conv.state_dict()
+    weights = [numpy_helper.from_array(conv[name].numpy(), name) for name in ("weight", "bias")]
+    nodes = [
+        helper.make_node("Conv", ["x", "weight", "bias"], ["c"], strides=[4, 4]),
+        helper.make_node(operator, ["c"], ["r"]),
+        helper.make_node("GlobalAveragePool", ["r"], ["pooled"]),
+        helper.make_node("Flatten", ["pooled"], ["descriptor"]),
+    ]
+    values = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
+        for name, shape in (("x", ["n", 3, "h", "w"]), ("descriptor", ["n", 6]))
+    ]
+    graph = helper.make_graph(nodes, "small", values[:1], values[1:], weights)
+    opset = [helper.make_opsetid("", 17)]
+    path = folder / "small.onnx"
+    save_model(helper.make_model(graph, opset_imports=opset, ir_version=9), path)
+    path.with_suffix(".toml").write_text(recipe)
+    return path
+
+
+MADE: dict[str, Callable[[Path], tuple[str, Path | None]]] = {
+    "torchscript": lambda folder: (f"torchscript:{torchscript(folder)}", None),
+    "onnx": lambda folder: (f"onnx:{onnx_file(folder)}", None),
+}
+"""Technique -> in a folder, its name with all that belongs to it, and its weights file."""
