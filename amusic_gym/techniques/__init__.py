@@ -34,6 +34,8 @@ TECHNIQUES: dict[str, str | Factory] = {
     "gist-lear": "amusic_gym.techniques.gist:LearGIST",
     "effnet": "amusic_gym.techniques.effnet:EffNet",
     "effnet-rmac": "amusic_gym.techniques.effnet:EffNetRMAC",
+    "amosnet": "amusic_gym.techniques.amosnet:AMOSNet",
+    "hybridnet": "amusic_gym.techniques.amosnet:HybridNet",
     "torchscript": "amusic_gym.techniques.any_network:TorchScript",
     "onnx": "amusic_gym.techniques.any_network:ONNX",
     "hub": "amusic_gym.techniques.any_network:Hub",

@@ -5,8 +5,12 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
+import weight_cases
+from numpy.typing import NDArray
 from torch import nn
 
 PLAIN = "size = [24, 32]\n"
@@ -57,8 +61,42 @@ def onnx_file(folder: Path, recipe: str = PLAIN, operator: str = "Relu") -> Path
     return path
 
 
+def amosnet(folder: Path, seed: int = 0) -> Path:
+    """AMOSNet's file, as Caffe writes it, of random numbers."""
+    path = folder / f"amosnet-{seed}.caffemodel"
+    path.write_bytes(
+        b"".join(
+            weight_cases.caffe_layer(name, "Convolution", arrays)
+            for name, arrays in amosnet_layers(seed).items()
+        )
+    )
+    return path
+
+
+def amosnet_layers(seed: int = 0) -> dict[str, list[NDArray[Any]]]:
+    """Weights and biases by layer, in Caffe's shapes, and a layer that is not needed."""
+    rng = np.random.default_rng(seed)
+    shapes = {
+        "conv1": (96, 3, 11, 11),
+        "conv2": (256, 48, 5, 5),
+        "conv3": (384, 256, 3, 3),
+        "conv4": (384, 192, 3, 3),
+        "conv5": (256, 192, 3, 3),
+        "fc8_new": (5, 7),
+    }
+    return {
+        name: [
+            (rng.standard_normal(shape) * (2 / np.prod(shape[1:])) ** 0.5).astype(np.float32),
+            (rng.standard_normal(shape[0]) * 0.1).astype(np.float32),
+        ]
+        for name, shape in shapes.items()
+    }
+
+
 MADE: dict[str, Callable[[Path], tuple[str, Path | None]]] = {
     "torchscript": lambda folder: (f"torchscript:{torchscript(folder)}", None),
     "onnx": lambda folder: (f"onnx:{onnx_file(folder)}", None),
+    "amosnet": lambda folder: ("amosnet", amosnet(folder)),
+    "hybridnet": lambda folder: ("hybridnet", amosnet(folder, seed=1)),
 }
 """Technique -> in a folder, its name with all that belongs to it, and its weights file."""
