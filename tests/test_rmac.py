@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import network_oracle as oracle
 import numpy as np
 import pytest
+import technique_files
 import torch
+import weight_cases
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.io import savemat
 
+from amusic_gym.techniques import make_technique
 from amusic_gym.techniques.rmac import RMAC, SETTINGS, regions
 
 TABLE = {  # height, width -> side, rows, columns of each level
@@ -108,3 +113,97 @@ def test_whitening_goes_between_two_normalisations(tmp_path):
         RMAC.of(7, levels=3, whole=False, whitening=str(tmp_path / "w.npz"))
     with pytest.raises(ValueError, match="the levels of R-MAC is 0; give a whole number"):
         RMAC.of(5, levels=0, whole=False, whitening="")
+
+
+# ---- on VGG16 and AlexNet ------------------------------------------------------------------
+
+MEAN = (120.0, 110.0, 100.0)
+
+
+def pooled(features):
+    """Of a map by hand, (C, H, W)."""
+    return RMAC()(torch.from_numpy(features).float()[None])[0].numpy()
+
+
+def matlab_layers(path, convolutions, count):
+    """A network as MatConvNet stores it: number -> weights (out, in, h, w) and bias."""
+    layers = np.empty((1, count), dtype=object)
+    for number in range(count):
+        layers[0, number] = {"type": "other"}
+        if number in convolutions:
+            weights = np.empty((1, 2), dtype=object)
+            kernel, bias = convolutions[number]
+            weights[0, 0], weights[0, 1] = kernel.transpose(2, 3, 1, 0), bias[:, None]
+            layers[0, number] = {"type": "conv", "weights": weights}
+    colour = np.tile(np.array(MEAN, np.float32), (7, 7, 1))
+    meta = {"normalization": {"averageImage": colour}}
+    savemat(path, {"layers": layers, "meta": meta})
+    return path
+
+
+@pytest.mark.parametrize("prefix", ["", "features."])
+def test_vgg16_of_pytorch_ends_after_the_last_relu(tmp_path, prefix):
+    technique = make_technique("rmac", technique_files.vgg16(tmp_path, prefix))
+    picture = weight_cases.image(1, 105, 120)
+    x = picture[:, :, ::-1].astype(float) - np.array([0.485, 0.456, 0.406]) * 255
+    x /= np.array([0.229, 0.224, 0.225]) * 255
+    features = oracle.vgg16(x.transpose(2, 0, 1), weight_cases.netvlad_arrays(0))
+    assert features.shape == (6, 6, 7)
+    got = technique.describe(picture)
+    np.testing.assert_allclose(got, pooled(np.maximum(features, 0)), atol=1e-5)
+
+
+def test_vgg16_of_matconvnet_ends_after_the_last_pooling(tmp_path):
+    arrays = weight_cases.netvlad_arrays(0, gain=0.9)
+    layers = {
+        number: (arrays[f"encoder.{number}.weight"], arrays[f"encoder.{number}.bias"])
+        for number in weight_cases.VGG16_NUMBERS
+    }
+    technique = make_technique("rmac", matlab_layers(tmp_path / "vgg.mat", layers, 31))
+    picture = weight_cases.image(1, 105, 120)
+    x = picture[:, :, ::-1].astype(float) - np.array(MEAN)
+    features = np.maximum(oracle.vgg16(x.transpose(2, 0, 1), arrays), 0)
+    halved = features[:, :6, :6].reshape(6, 3, 2, 3, 2).max((2, 4))
+    np.testing.assert_allclose(technique.describe(picture), pooled(halved), atol=1e-5)
+
+
+def test_alexnet_of_matconvnet_normalises_before_it_pools(tmp_path):
+    rng = np.random.default_rng(0)
+    shapes = {0: (4, 3, 11, 11), 4: (6, 2, 5, 5), 8: (8, 6, 3, 3)}
+    shapes |= {10: (8, 4, 3, 3), 12: (6, 4, 3, 3)}
+    layers = {
+        number: [(rng.normal(size=s) / np.prod(s[1:]) ** 0.5).astype("f4"), rng.normal(size=s[0])]
+        for number, s in shapes.items()
+    }
+    technique = make_technique("rmac", matlab_layers(tmp_path / "alex.mat", layers, 15))
+    picture = weight_cases.image(1, 120, 105)
+    x = (picture[:, :, ::-1].astype(float) - np.array(MEAN)).transpose(2, 0, 1)
+
+    def conv(x, number, pad, step=1, groups=1):
+        kernel, bias = layers[number]
+        parts = zip(*(np.split(each, groups) for each in (x, kernel, bias)), strict=True)
+        return np.maximum(
+            np.concatenate([oracle.convolve(a, b, c, pad, step) for a, b, c in parts]), 0
+        )
+
+    def pool(x):
+        rows, columns = ((n - 3) // 2 * 2 + 3 for n in x.shape[1:])
+        return oracle.pool_up(x[:, :rows, :columns], 3, 2)
+
+    x = pool(oracle.normalise_response(conv(x, 0, 0, 4)))
+    x = pool(oracle.normalise_response(conv(x, 4, 2, groups=2)))
+    x = conv(conv(conv(x, 8, 1), 10, 1, groups=2), 12, 1, groups=2)
+    np.testing.assert_allclose(technique.describe(picture), pooled(pool(x)), atol=1e-5)
+
+
+def test_settings_weights_and_cache_key(tmp_path):
+    path = technique_files.vgg16(tmp_path)
+    plain, other = make_technique("rmac", path), make_technique("rmac:levels=2:whole=yes", path)
+    assert plain.parameters() != other.parameters()
+    picture = weight_cases.image()
+    assert not np.allclose(plain.describe(picture), other.describe(picture))
+    with pytest.raises(ValueError, match="needs weights of VGG16 or AlexNet.*--weights rmac="):
+        make_technique("rmac")
+    np.savez(tmp_path / "w.npz", other=np.ones(3))
+    with pytest.raises(ValueError, match=r"no layer 28\.weight, which R-MAC needs"):
+        make_technique("rmac", tmp_path / "w.npz")

@@ -36,6 +36,7 @@ TECHNIQUES: dict[str, str | Factory] = {
     "effnet-rmac": "amusic_gym.techniques.effnet:EffNetRMAC",
     "amosnet": "amusic_gym.techniques.amosnet:AMOSNet",
     "hybridnet": "amusic_gym.techniques.amosnet:HybridNet",
+    "rmac": "amusic_gym.techniques.rmac:RMACTechnique",
     "torchscript": "amusic_gym.techniques.any_network:TorchScript",
     "onnx": "amusic_gym.techniques.any_network:ONNX",
     "hub": "amusic_gym.techniques.any_network:Hub",

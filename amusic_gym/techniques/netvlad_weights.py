@@ -140,17 +140,13 @@ def _matlab(file: WeightFile) -> _Family | None:
     part = file.under(MATLAB_ANCHOR)
     if part is None:
         return None
-    shaped: Arrays = {}
-    for name, array in part.arrays.items():
-        if name in ("layers.30.weights.0", "layers.33.weights.0"):
-            shaped[name] = array.reshape(-1, array.shape[-1]).T  # (1, 1, in, out) -> (out, in)
-        elif name == "layers.30.weights.1":
-            shaped[name] = -array.reshape(-1, array.shape[-1]).T  # (C, K) -> (K, C)
-        elif name.endswith("weights.0") and array.ndim == 4:
-            shaped[name] = array.transpose(3, 2, 0, 1)  # (h, w, in, out) -> (out, in, h, w)
-        elif name.endswith("weights.1"):
-            shaped[name] = array
-    mean = _matlab_mean(part)
+    shaped = matlab_convolutions(part).arrays
+    for name in {"layers.30.weights.0", "layers.33.weights.0"} & set(shaped):
+        array = part.arrays[name]
+        shaped[name] = array.reshape(-1, array.shape[-1]).T  # (1, 1, in, out) -> (out, in)
+    if (centres := shaped.get("layers.30.weights.1")) is not None:
+        shaped["layers.30.weights.1"] = -centres.reshape(-1, centres.shape[-1]).T  # (K, C)
+    mean = matlab_mean(part)
     return _Family(
         file=replace(part, arrays=shaped),
         name=_matlab_name,
@@ -166,13 +162,24 @@ def _matlab_name(ours: str) -> str:
     return f"layers.{number}.weights.{'0' if part == 'weight' else '1'}"
 
 
-def _matlab_mean(file: WeightFile) -> tuple[float, float, float]:
+def matlab_convolutions(file: WeightFile) -> WeightFile:
+    """MatConvNet's weights (h, w, in, out) as (out, in, h, w), and its biases; nothing else."""
+    shaped: Arrays = {}
+    for name, array in file.arrays.items():
+        if name.endswith("weights.0"):
+            shaped[name] = array.transpose(3, 2, 0, 1) if array.ndim == 4 else array
+        elif name.endswith("weights.1"):
+            shaped[name] = array
+    return replace(file, arrays=shaped)
+
+
+def matlab_mean(file: WeightFile) -> tuple[float, float, float]:
     """Mean colour: the first pixel of the average image, which has one colour throughout."""
     image = file.arrays.get(MATLAB_MEAN, np.empty(0))
     if image.size == 0 or image.size % 3 or not np.isfinite(image).all():
         raise ValueError(
             f"{file.path} has no mean colour ({MATLAB_MEAN} has shape {image.shape}), which "
-            "NetVLAD needs; download it again"
+            "is subtracted from images; download it again"
         )
     red, green, blue = (float(value) for value in image.reshape(-1, 3)[0])
     return red, green, blue

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812 (its usual name)
 
-from amusic_gym.techniques.protocol import Parameters
+from amusic_gym.techniques.arguments import parsed
+from amusic_gym.techniques.backbones import load_backbone
+from amusic_gym.techniques.protocol import Descriptor, Image, Parameters, Technique
 from amusic_gym.techniques.weight_files import read_weights
 from amusic_gym.utils.checks import whole as at_least
 
@@ -107,3 +110,44 @@ class RMAC:
         if self.mean is not None and self.projection is not None:
             vectors = F.normalize((vectors - self.mean) @ self.projection, dim=2)
         return F.normalize(vectors.sum(1), dim=1)
+
+
+class RMACTechnique(Technique):
+    """R-MAC on VGG16 or AlexNet, of the image in its own size; length 1, cosine.
+
+    Args:
+        argument: ``levels=LEVELS``, ``whole=yes``, ``whitening=FILE``, with colons between.
+        weights: ImageNet's, in a file of :mod:`amusic_gym.techniques.backbones`. None ship.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: without weights, for a file that is damaged or has other layers, or a whitening
+            of another number of channels.
+    """
+
+    name = "R-MAC"
+
+    def __init__(self, argument: str = "", weights: str | Path | None = None) -> None:
+        given = parsed(argument, **SETTINGS)
+        if weights is None:
+            raise ValueError(
+                "R-MAC needs weights of VGG16 or AlexNet, which do not ship: "
+                "--weights rmac=imagenet-vgg-verydeep-16.mat"
+            )
+        file = read_weights(weights)
+        self._digest = file.digest
+        self._backbone = load_backbone(file)
+        self._pooling = RMAC.of(self._backbone.channels, **given)
+
+    def parameters(self) -> Parameters:
+        """The digest of the weights' file, and the pooling's settings."""
+        return {"weights": self._digest, **self._pooling.parameters()}
+
+    def describe(self, image: Image) -> Descriptor:
+        """(C,) of length 1, or (k,) with a whitening.
+
+        Raises:
+            ValueError: for an array that is no image.
+        """
+        descriptor: Descriptor = self._pooling(self._backbone.features(image))[0].numpy()
+        return descriptor

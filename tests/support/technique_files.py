@@ -93,9 +93,21 @@ def amosnet_layers(seed: int = 0) -> dict[str, list[NDArray[Any]]]:
     }
 
 
+def vgg16(folder: Path, prefix: str = "") -> Path:
+    """A narrow VGG16 as PyTorch names its layers."""
+    arrays = weight_cases.netvlad_arrays(0)
+    convolutions = {
+        name.replace("encoder.", ""): array
+        for name, array in arrays.items()
+        if name.startswith("encoder.")
+    }
+    return weight_cases.save_torch(folder / "vgg16.pth", convolutions, prefix)
+
+
 MADE: dict[str, Callable[[Path], tuple[str, Path | None]]] = {
     "torchscript": lambda folder: (f"torchscript:{torchscript(folder)}", None),
     "onnx": lambda folder: (f"onnx:{onnx_file(folder)}", None),
+    "rmac": lambda folder: ("rmac", vgg16(folder)),
     "amosnet": lambda folder: ("amosnet", amosnet(folder)),
     "hybridnet": lambda folder: ("hybridnet", amosnet(folder, seed=1)),
 }
