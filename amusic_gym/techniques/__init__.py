@@ -37,6 +37,7 @@ TECHNIQUES: dict[str, str | Factory] = {
     "amosnet": "amusic_gym.techniques.amosnet:AMOSNet",
     "hybridnet": "amusic_gym.techniques.amosnet:HybridNet",
     "rmac": "amusic_gym.techniques.rmac:RMACTechnique",
+    "fabmap": "amusic_gym.techniques.fabmap:FABMAP",
     "torchscript": "amusic_gym.techniques.any_network:TorchScript",
     "onnx": "amusic_gym.techniques.any_network:ONNX",
     "hub": "amusic_gym.techniques.any_network:Hub",

@@ -13,6 +13,8 @@ import weight_cases
 from numpy.typing import NDArray
 from torch import nn
 
+from amusic_gym.techniques.fabmap_model import ChowLiuTree
+
 PLAIN = "size = [24, 32]\n"
 
 
@@ -104,10 +106,20 @@ def vgg16(folder: Path, prefix: str = "") -> Path:
     return weight_cases.save_torch(folder / "vgg16.pth", convolutions, prefix)
 
 
+def fabmap(folder: Path, words: int = 40) -> Path:
+    """A vocabulary of random words, and a tree over random images."""
+    rng = np.random.default_rng(0)
+    vocabulary = rng.random((words, 128)) ** 4
+    vocabulary /= np.linalg.norm(vocabulary, axis=1, keepdims=True)
+    tree = ChowLiuTree.learn(rng.random((60, words)) < 0.4)
+    return tree.save(folder / "fabmap.safetensors", vocabulary.astype(np.float32), "none")
+
+
 MADE: dict[str, Callable[[Path], tuple[str, Path | None]]] = {
     "torchscript": lambda folder: (f"torchscript:{torchscript(folder)}", None),
     "onnx": lambda folder: (f"onnx:{onnx_file(folder)}", None),
     "rmac": lambda folder: ("rmac", vgg16(folder)),
+    "fabmap": lambda folder: ("fabmap", fabmap(folder)),
     "amosnet": lambda folder: ("amosnet", amosnet(folder)),
     "hybridnet": lambda folder: ("hybridnet", amosnet(folder, seed=1)),
 }
