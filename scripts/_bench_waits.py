@@ -21,8 +21,11 @@ from amusic_gym.extraction import BLOCK
 from amusic_gym.extraction.map import DescribedMap
 from amusic_gym.live.navigation import navigate
 from amusic_gym.policies.protocol import Context
-from amusic_gym.techniques import TECHNIQUES, Technique, make_technique
+from amusic_gym.techniques import Technique, make_technique
 from amusic_gym.worlds import Image, traverse
+
+TECHNIQUES = ("hog", "cohog", "calc", "netvlad")
+"""The paper's, whose speed is told: none needs a file or an optional part."""
 
 ROOT = Path(__file__).resolve().parent.parent
 STATISTICS = {"": SICSettings.statistic, "belief_": "belief"}

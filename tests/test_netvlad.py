@@ -104,6 +104,44 @@ def test_the_orders_of_flattening_differ_and_each_family_has_its_own(tmp_path):
     assert pytorch.parameters()["descriptor_major"] is False
 
 
+FAMILIES = {  # family -> NetVLAD's layer, VGG16, whitening; mean and deviation; ending
+    "OpenIBL": ("net_vlad", "base_model.base", "pca_layer", "pth"),
+    "deep-vg-benchmark": ("aggregation.0", "backbone", "aggregation.2", "pth"),
+    "OpenVPRLab": ("aggregation", "backbone", "", "ckpt"),
+    "OpenVPRLab, new": ("aggregator", "backbone", "", "ckpt"),
+}
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_weights_of_other_projects_give_what_plain_numpy_gives(tmp_path, family):
+    pool, backbone, whitening, ending = FAMILIES[family]
+    openibl = family == "OpenIBL"
+    colours = (np.array([123.68, 116.779, 103.939]), np.ones(3)) if openibl else IMAGENET
+    arrays = cases.netvlad_arrays(
+        4, cases.WHITENED if whitening else None, gain=0.9 if openibl else 1.4
+    )
+    starts = {"encoder": backbone, "pool": pool, "WPCA.0": whitening}
+    renamed = {}
+    for name, array in arrays.items():
+        start = next(each for each in starts if name.startswith(each))
+        renamed[starts[start] + name.removeprefix(start)] = array
+    path = cases.save_torch(tmp_path / f"netvlad.{ending}", renamed, prefix="module.")
+    picture = cases.image(3)
+    expected = oracle.netvlad(prepared(picture, *colours), arrays, descriptor_major=False)
+    np.testing.assert_allclose(NetVLAD(path).describe(picture), expected, rtol=0, atol=2e-5)
+
+
+def test_a_network_on_another_backbone_is_refused_with_what_was_found(tmp_path):
+    other = {
+        "aggregation.centroids": np.ones((4, 6), np.float32),
+        "aggregation.conv.weight": np.ones((4, 6, 1, 1), np.float32),
+        "backbone.layer1.0.conv1.weight": np.ones((6, 3, 3, 3), np.float32),
+    }
+    path = cases.save_torch(tmp_path / "resnet.ckpt", other)
+    with pytest.raises(ValueError, match=r"no layer backbone\.0\.weight.* it holds .*backbone\.l"):
+        NetVLAD(path)
+
+
 def test_layer_by_layer(tmp_path):
     arrays = cases.netvlad_arrays(4, bias=True)
     path = cases.save_torch(tmp_path / "netvlad.pth", arrays)

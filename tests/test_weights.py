@@ -73,6 +73,8 @@ KINDS: dict[str, tuple[str, Callable[[], bytes]]] = {
     "trained in parallel": (".pt", lambda: torch_bytes(tensors("module."))),
     "a checkpoint": (".pth.tar", lambda: torch_bytes(
         {"epoch": 3, "state_dict": tensors("module.net."), "loss": np.float64(0.5)})),
+    "Lightning": (".ckpt", lambda: torch_bytes(
+        {"epoch": 3, "state_dict": tensors("model."), "hparams_name": "kwargs"})),
     "before PyTorch 1.6": (
         ".pth", lambda: torch_bytes(tensors(), _use_new_zipfile_serialization=False)),
     "parameters": (".pth", lambda: torch_bytes(

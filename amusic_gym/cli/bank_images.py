@@ -267,12 +267,15 @@ def add_tour(parser: Parser) -> None:
     add("--images", type=Path, metavar="DIR", help="write these, too, to DIR/reference, DIR/query")
     parser.add_shared("--seed", help="of the conditions (default: %(default)s)")
     parser.add_shared("--tolerance", required=True)
+    parser.add_shared("--trust")
     _add_extraction(parser)
 
 
 def _add_extraction(parser: Parser) -> None:
     parser.add_shared("--techniques", required=True)
-    parser.add_shared("--weights", "--seconds", "--cache", "--executor", "--name", "--out")
+    parser.add_shared(
+        "--weights", "--device", "--seconds", "--cache", "--executor", "--name", "--out"
+    )
     again = "measure the seconds even if the cache remembers them of this machine"
     parser.add_argument("--measure-again", action="store_true", help=again)
 

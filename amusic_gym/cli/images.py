@@ -133,7 +133,8 @@ def techniques_of(
     from amusic_gym.techniques import make_technique
 
     specs, files = specs_of(args)
-    made = [make_technique(spec, files.get(spec)) for spec in specs]
+    how = {"device": args.device, "trust": args.trust}
+    made = [make_technique(spec, files.get(spec), **how) for spec in specs]
     names = [*(technique.name for technique in made), *others]
     return made, numbers(by_technique(args.seconds, names, "--seconds"), "--seconds")
 

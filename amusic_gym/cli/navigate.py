@@ -59,7 +59,7 @@ def add_arguments(parser: Parser) -> None:
     parser.add_shared("--query", required=True, metavar="DIR|VIDEO|CAMERA", help="what is seen")
     parser.add_shared("--policy", required=True)
     parser.add_shared("--techniques", help=f"(default: {TECHNIQUES})")
-    parser.add_shared("--weights", "--seconds")
+    parser.add_shared("--weights", "--device", "--seconds")
     add_statistic(parser, "unless the policy brings its own")
     weight = "λ of a trained selector or voi (default: %(default)s)"
     add("--compute-weight", type=float, default=COMPUTE_WEIGHT, metavar="L", help=weight)

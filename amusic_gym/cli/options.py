@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from amusic_gym.techniques import TECHNIQUES
+
 MANY: dict[str, Any] = {"nargs": "+", "action": "extend", "default": []}
 """Of an option that takes several values and may be repeated."""
 
@@ -16,6 +18,11 @@ SHARED: dict[str, dict[str, Any]] = {
         "help": "where descriptors are kept (default: $XDG_CACHE_HOME or ~/.cache, amusic-gym)",
     },
     "--costs": {"help": "cost model (default: the bank's own)"},
+    "--device": {
+        "default": "cpu",
+        "metavar": "cpu|cuda",
+        "help": "where torchscript:, onnx: and hub: run (default: %(default)s)",
+    },
     "--every": {"type": int, "metavar": "N", "help": "of a video: take each N-th frame"},
     "--every-metres": {
         "type": float,
@@ -73,7 +80,7 @@ SHARED: dict[str, dict[str, Any]] = {
         "action": "store_true",
         "help": "leave damaged images out; the others keep their numbers for the ground truth",
     },
-    "--techniques": {"metavar": "A,B", "help": "hog, cohog, calc, netvlad, package.module:Class"},
+    "--techniques": {"metavar": "A,B", "help": f"{', '.join(TECHNIQUES)}, package.module:Class"},
     "--tolerance": {
         "type": int,
         "metavar": "N",
@@ -82,8 +89,8 @@ SHARED: dict[str, dict[str, Any]] = {
     },
     "--trust": {
         "action": "store_true",
-        "help": "unpickle files of VPR-Bench or GSV-Cities: a pickle can run any code; do you trust"
-        " its author?",
+        "help": "unpickle files of VPR-Bench or GSV-Cities, and run the code behind hub:, both of"
+        " which may do anything; do you trust their authors?",
     },
     "--weights": {**MANY, "metavar": "NAME=FILE", "help": "in place of those that ship"},
 }

@@ -12,6 +12,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,6 +132,24 @@ def describe_one(technique: Technique, image: Image, *, query: bool) -> Descript
     """
     describe = technique.describe_query if query else technique.describe
     given = guarded(f"technique {technique.name!r}", technique, alone, describe, image)
+    return _descriptor(technique, given)
+
+
+def describe_some(technique: Technique, images: Sequence[Image]) -> list[Descriptor]:
+    """Descriptors of several images, all at once, as :func:`describe_one` gives them.
+
+    Raises:
+        ValueError: as :func:`describe_one`.
+    """
+    what = f"technique {technique.name!r}"
+    given = guarded(what, technique, alone, technique.describe_batch, images)
+    if len(given) != len(images):
+        raise ValueError(f"{what} gives {len(given)} descriptors of {len(images)} images")
+    return [_descriptor(technique, each) for each in given]
+
+
+def _descriptor(technique: Technique, given: Any) -> Descriptor:
+    """What a technique gave, refused where it is no descriptor."""
     descriptor = _floats(technique, given, "a descriptor")
     if np.ndim(given) == 0:
         raise ValueError(

@@ -16,8 +16,10 @@ from amusic_gym.extraction.blocks import (
     aligned,
     check_shape,
     describe_one,
+    describe_some,
     match_one,
 )
+from amusic_gym.extraction.code import describes_queries_alike
 from amusic_gym.techniques.protocol import Technique
 from amusic_gym.utils.threads import one_thread
 
@@ -116,7 +118,7 @@ class DescribeShard:
         return f"describing {self.images.paths[0]} to {self.images.paths[-1].name}"
 
     def run(self, technique: Technique, advance: Advance = nothing) -> NDArray[np.float32]:
-        """Read and describe the images one after the other.
+        """Read and describe the images, as many at a time as the technique wants.
 
         Raises:
             ValueError: for an image that cannot be read or described, with its path; for one that
@@ -124,17 +126,25 @@ class DescribeShard:
         """
         block = np.empty((0, 0), np.float32)  # as large as the first image's descriptor tells
         with one_thread():
-            for at, path in enumerate(self.images.paths):
-                image = self.images.read(at)
+            alike = not self.query or describes_queries_alike(technique)
+            batch = technique.batch if alike else 1
+            for first in range(0, len(self.images), batch):
+                taken = range(first, min(first + batch, len(self.images)))
+                images = [self.images.read(at) for at in taken]
                 try:
-                    descriptor = describe_one(technique, image, query=self.query)
+                    if len(images) == 1:
+                        described = [describe_one(technique, images[0], query=self.query)]
+                    else:
+                        described = describe_some(technique, images)
                 except ValueError as error:
-                    raise _at(path, error) from error.__cause__ or error
-                if at == 0:
-                    block = np.empty((len(self.images), *descriptor.shape), np.float32)
-                check_shape(technique, descriptor.shape, block.shape[1:], path)
-                block[at] = descriptor
-                advance(1)
+                    raise _at(self.images.paths[first], error) from error.__cause__ or error
+                for at, descriptor in zip(taken, described, strict=True):
+                    if at == 0:
+                        block = np.empty((len(self.images), *descriptor.shape), np.float32)
+                    shape = block.shape[1:]
+                    check_shape(technique, descriptor.shape, shape, self.images.paths[at])
+                    block[at] = descriptor
+                advance(len(images))
         return block
 
 

@@ -15,6 +15,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from amusic_gym.techniques.own_code import guarded, told
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
@@ -29,8 +30,22 @@ TECHNIQUES: dict[str, str | Factory] = {
     "cohog": "amusic_gym.techniques.cohog:CoHOG",
     "calc": "amusic_gym.techniques.calc:CALC",
     "netvlad": "amusic_gym.techniques.netvlad:NetVLAD",
+    "gist": "amusic_gym.techniques.gist:GIST",
+    "gist-lear": "amusic_gym.techniques.gist:LearGIST",
+    "effnet": "amusic_gym.techniques.effnet:EffNet",
+    "effnet-rmac": "amusic_gym.techniques.effnet:EffNetRMAC",
+    "amosnet": "amusic_gym.techniques.amosnet:AMOSNet",
+    "hybridnet": "amusic_gym.techniques.amosnet:HybridNet",
+    "rmac": "amusic_gym.techniques.rmac:RMACTechnique",
+    "fabmap": "amusic_gym.techniques.fabmap:FABMAP",
+    "torchscript": "amusic_gym.techniques.any_network:TorchScript",
+    "onnx": "amusic_gym.techniques.any_network:ONNX",
+    "hub": "amusic_gym.techniques.any_network:Hub",
 }
-"""Name on the command line → class, or where it is: it is imported when it is used."""
+"""Name on the command line → class, or where it is: it is imported when it is used.
+
+Of a class that takes an ``argument``, this is what stands behind the name and a colon.
+"""
 
 
 def register(name: str, factory: Factory | str) -> None:
@@ -47,13 +62,22 @@ def register(name: str, factory: Factory | str) -> None:
     TECHNIQUES[key] = factory
 
 
-def make_technique(name: str, weights: str | Path | None = None) -> Technique:
+def make_technique(
+    name: str,
+    weights: str | Path | None = None,
+    *,
+    device: str = "cpu",
+    trust: bool = False,
+) -> Technique:
     """Build a technique.
 
     Args:
-        name: one of ``TECHNIQUES``, upper or lower case, or ``"package.module:Class"``, a module
-            that Python finds, or of the current directory.
+        name: one of ``TECHNIQUES``, upper or lower case, where it takes some with settings behind
+            a colon; or ``"package.module:Class"``, a module that Python finds, or of the current
+            directory.
         weights: its weights file; None: those that ship, or none.
+        device: ``"cpu"`` or ``"cuda"``, for techniques that can be told.
+        trust: whether ``hub:`` may run the code of its repository.
 
     Raises:
         ValueError: for an unknown name, with the nearest suggested; for something that is no
@@ -61,10 +85,13 @@ def make_technique(name: str, weights: str | Path | None = None) -> Technique:
             module or class raises something, which is its cause.
         FileNotFoundError: for a weights file that is not there.
     """
-    factory = _factory(name)
-    if weights is not None and not _takes_weights(factory):
-        raise ValueError(f"technique {name!r} takes no weights; leave out {weights}")
-    options = {} if weights is None else {"weights": weights}
+    factory, options = _with_argument(name)
+    if weights is not None:
+        if not _takes(factory, "weights"):
+            raise ValueError(f"technique {name!r} takes no weights; leave out {weights}")
+        options["weights"] = weights
+    told_of: dict[str, Any] = {"device": device, "trust": trust}
+    options |= {key: value for key, value in told_of.items() if _named(factory, key)}
     try:
         technique: object = guarded(
             f"technique {name!r} cannot be made", factory, factory, **options
@@ -81,9 +108,27 @@ def make_technique(name: str, weights: str | Path | None = None) -> Technique:
     return technique
 
 
-def _takes_weights(factory: Factory) -> bool:
+def _with_argument(name: str) -> tuple[Factory, dict[str, Any]]:
+    """What makes a technique, and what stands behind its name where that takes something."""
+    head, colon, argument = name.partition(":")
+    if colon and head.casefold() in TECHNIQUES:
+        factory = _factory(head)
+        if _named(factory, "argument"):
+            return factory, {"argument": argument}
+    factory = _factory(name)
+    needed = None if ":" in name else inspect.signature(factory).parameters.get("argument")
+    if needed is not None and needed.default is needed.empty:
+        raise ValueError(f"technique {name!r} needs more behind its name: {name}:…")
+    return factory, {}
+
+
+def _named(factory: Factory, name: str) -> bool:
+    return name in inspect.signature(factory).parameters
+
+
+def _takes(factory: Factory, name: str) -> bool:
     parameters = inspect.signature(factory).parameters
-    return "weights" in parameters or any(p.kind is p.VAR_KEYWORD for p in parameters.values())
+    return name in parameters or any(p.kind is p.VAR_KEYWORD for p in parameters.values())
 
 
 def _factory(name: str) -> Factory:

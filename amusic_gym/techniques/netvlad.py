@@ -23,9 +23,10 @@ class NetVLAD(Technique):
 
     Args:
         weights: hloc's ``Pitts30K_struct.mat``, a checkpoint of pytorch-NetVlad, one of
-            Patch-NetVLAD with its whitening, or the same arrays in another container that
-            :func:`~amusic_gym.techniques.weight_files.read_weights` knows. None: the weights
-            that ship.
+            Patch-NetVLAD with its whitening, OpenIBL's ``vgg16_netvlad.pth``, a network on VGG16
+            of deep-vg-benchmark or OpenVPRLab (``.ckpt``), or the same arrays in another
+            container that :func:`~amusic_gym.techniques.weight_files.read_weights` knows. None:
+            the weights that ship.
 
     Raises:
         FileNotFoundError: when there is no such file.

@@ -7,6 +7,11 @@ ours (``save_netvlad``)           the metadata                                as
 MATLAB (``Pitts30K_struct.mat``)  ``net.layers`` with NetVLAD as number 30    c·K + k
 PyTorch (``.pth.tar``,            ``pool.centroids``, ``pool.conv.weight``,   k·C + c
 Patch-NetVLAD)                    ``encoder.N``; maybe ``WPCA.0``
+OpenIBL                           ``net_vlad``, ``base_model.base.N``;        k·C + c
+                                  maybe ``pca_layer``
+deep-vg-benchmark, OpenVPRLab     ``aggregation`` (or ``aggregation.0``, with k·C + c
+(``.pth``, ``.ckpt``)             the layer ``aggregation.2``; ``aggregator``
+                                  in new files), ``backbone.N``
 ================================  ==========================================  ================
 
 The whitening's columns are in the family's order, so an order goes with its whitening only.
@@ -38,17 +43,20 @@ MATLAB_NAMES = {
     "whitening.weight": "layers.33.weights.0",
     "whitening.bias": "layers.33.weights.1",
 }
-PYTORCH_ANCHOR = "pool.centroids"
-PYTORCH_NAMES = {
-    "pool.assignment.weight": "pool.conv.weight",
-    "pool.assignment.bias": "pool.conv.bias",
-    "pool.centroids": "pool.centroids",
-    "whitening.weight": "WPCA.0.weight",
-    "whitening.bias": "WPCA.0.bias",
-}
-
 PUBLIC_INPUT = Preparation(width=640, height=480, interpolation="cubic")
-"""Input for public weights; mean and deviation are ImageNet's, or the file's."""
+"""Input for public weights; mean and deviation are ImageNet's, the family's, or the file's."""
+
+OPENIBL_COLOURS = ((123.68, 116.779, 103.939), (1.0, 1.0, 1.0))
+"""Mean and deviation that OpenIBL's weights expect."""
+
+PYTORCH = (
+    ("pool", "encoder", "WPCA.0"),
+    ("net_vlad", "base_model.base", "pca_layer"),
+    ("aggregation.0", "backbone", "aggregation.2"),
+    ("aggregation", "backbone", ""),
+    ("aggregator", "backbone", ""),
+)
+"""Names in PyTorch's families: NetVLAD's layer, VGG16 and the whitening, where there is one."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +88,8 @@ def load_netvlad(file: WeightFile) -> tuple[NetVLADNetwork, Preparation]:
         return _build(file, widths, str), preparation
     family = _matlab(file) or _pytorch(file)
     if family is None:
-        raise file.missing("NetVLAD", PYTORCH_ANCHOR)
+        first, *others = [f"{pool}.centroids" for pool, *_ in PYTORCH]
+        raise ValueError(f"{file.missing('NetVLAD', first)} (or {', '.join(others)})")
     return _build(family.file, _widths_of(family), family.name), family.preparation
 
 
@@ -131,17 +140,13 @@ def _matlab(file: WeightFile) -> _Family | None:
     part = file.under(MATLAB_ANCHOR)
     if part is None:
         return None
-    shaped: Arrays = {}
-    for name, array in part.arrays.items():
-        if name in ("layers.30.weights.0", "layers.33.weights.0"):
-            shaped[name] = array.reshape(-1, array.shape[-1]).T  # (1, 1, in, out) -> (out, in)
-        elif name == "layers.30.weights.1":
-            shaped[name] = -array.reshape(-1, array.shape[-1]).T  # (C, K) -> (K, C)
-        elif name.endswith("weights.0") and array.ndim == 4:
-            shaped[name] = array.transpose(3, 2, 0, 1)  # (h, w, in, out) -> (out, in, h, w)
-        elif name.endswith("weights.1"):
-            shaped[name] = array
-    mean = _matlab_mean(part)
+    shaped = matlab_convolutions(part).arrays
+    for name in {"layers.30.weights.0", "layers.33.weights.0"} & set(shaped):
+        array = part.arrays[name]
+        shaped[name] = array.reshape(-1, array.shape[-1]).T  # (1, 1, in, out) -> (out, in)
+    if (centres := shaped.get("layers.30.weights.1")) is not None:
+        shaped["layers.30.weights.1"] = -centres.reshape(-1, centres.shape[-1]).T  # (K, C)
+    mean = matlab_mean(part)
     return _Family(
         file=replace(part, arrays=shaped),
         name=_matlab_name,
@@ -157,34 +162,55 @@ def _matlab_name(ours: str) -> str:
     return f"layers.{number}.weights.{'0' if part == 'weight' else '1'}"
 
 
-def _matlab_mean(file: WeightFile) -> tuple[float, float, float]:
+def matlab_convolutions(file: WeightFile) -> WeightFile:
+    """MatConvNet's weights (h, w, in, out) as (out, in, h, w), and its biases; nothing else."""
+    shaped: Arrays = {}
+    for name, array in file.arrays.items():
+        if name.endswith("weights.0"):
+            shaped[name] = array.transpose(3, 2, 0, 1) if array.ndim == 4 else array
+        elif name.endswith("weights.1"):
+            shaped[name] = array
+    return replace(file, arrays=shaped)
+
+
+def matlab_mean(file: WeightFile) -> tuple[float, float, float]:
     """Mean colour: the first pixel of the average image, which has one colour throughout."""
     image = file.arrays.get(MATLAB_MEAN, np.empty(0))
     if image.size == 0 or image.size % 3 or not np.isfinite(image).all():
         raise ValueError(
             f"{file.path} has no mean colour ({MATLAB_MEAN} has shape {image.shape}), which "
-            "NetVLAD needs; download it again"
+            "is subtracted from images; download it again"
         )
     red, green, blue = (float(value) for value in image.reshape(-1, 3)[0])
     return red, green, blue
 
 
 def _pytorch(file: WeightFile) -> _Family | None:
-    """State dictionaries of pytorch-NetVlad and, with whitening, of Patch-NetVLAD."""
-    part = file.under(PYTORCH_ANCHOR)
-    if part is None:
-        return None
-    arrays = {name: _without_pixels(name, array) for name, array in part.arrays.items()}
-    return _Family(
-        file=replace(part, arrays=arrays),
-        name=lambda ours: PYTORCH_NAMES.get(ours, ours.replace("backbone.", "encoder.")),
-        descriptor_major=False,
-        preparation=PUBLIC_INPUT,
-    )
+    """State dictionaries: :data:`PYTORCH`."""
+    for pool, backbone, whitening in PYTORCH:
+        part = file.under(f"{pool}.centroids")
+        if part is None:
+            continue
+        names = {
+            "pool.assignment": f"{pool}.conv",
+            "pool.centroids": f"{pool}.centroids",
+            "whitening": whitening,
+            "backbone": backbone,
+        }
+
+        def named(ours: str, names: dict[str, str] = names) -> str:
+            found = next(start for start in names if ours.startswith(start))
+            return names[found] + ours.removeprefix(found)
+
+        arrays = {name: _without_pixels(array) for name, array in part.arrays.items()}
+        preparation = PUBLIC_INPUT
+        if pool == "net_vlad":
+            mean, deviation = OPENIBL_COLOURS
+            preparation = replace(preparation, mean=mean, deviation=deviation)
+        return _Family(replace(part, arrays=arrays), named, False, preparation)
+    return None
 
 
-def _without_pixels(name: str, array: NDArray[Any]) -> NDArray[Any]:
+def _without_pixels(array: NDArray[Any]) -> NDArray[Any]:
     """A 1×1 convolution's weights as a matrix, (out, in, 1, 1) -> (out, in)."""
-    if name.startswith(("pool", "WPCA")) and array.ndim == 4 and array.shape[2:] == (1, 1):
-        return array[:, :, 0, 0]
-    return array
+    return array[:, :, 0, 0] if array.ndim == 4 and array.shape[2:] == (1, 1) else array

@@ -220,7 +220,10 @@ def load_layers(network: Network, layer: Callable[..., NDArray[np.float32]]) -> 
     tensors = {
         name: torch.from_numpy(layer(name, *tensor.shape))
         for name, tensor in network.state_dict().items()
+        if tensor.is_floating_point()
     }
+    for name, tensor in network.state_dict().items():  # counters of batch normalisation
+        tensors.setdefault(name, torch.zeros_like(tensor, device="cpu"))
     network.load_state_dict(tensors, assign=True)
     # Colour channels innermost: PyTorch pools several times faster then.
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

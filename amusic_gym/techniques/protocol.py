@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -25,9 +25,11 @@ class Technique:
 
     Attributes:
         name: what tables call it.
+        batch: how many images :meth:`describe_batch` is best given; more than 1 pays on a GPU.
     """
 
     name: str
+    batch: int = 1
 
     def parameters(self) -> Parameters:
         """All that the scores depend on besides the code: settings, digest of the weights.
@@ -39,6 +41,10 @@ class Technique:
     def describe(self, image: Image) -> Descriptor:
         """Descriptor of an image, as the map holds it."""
         raise NotImplementedError(f"{type(self).__name__} must define describe(image)")
+
+    def describe_batch(self, images: Sequence[Image]) -> list[Descriptor]:
+        """Descriptors of several images, as :meth:`describe` gives them one by one."""
+        return [self.describe(image) for image in images]
 
     def describe_query(self, image: Image) -> Descriptor:
         """Descriptor of a query image, where it is another than the map's."""

@@ -156,6 +156,7 @@ READERS: dict[str, Callable[[bytes], tuple[Arrays, dict[str, str]]]] = {
     ".npz": _read_npz,
     ".pt": _read_torch,
     ".pth": _read_torch,
+    ".ckpt": _read_torch,  # PyTorch Lightning's
     ".tar": _read_torch,  # name.pth.tar is PyTorch's, not tar's
     ".caffemodel": _read_caffe,
     ".onnx": _read_onnx,
