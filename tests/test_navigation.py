@@ -220,7 +220,7 @@ def test_the_csv_is_that_of_a_trace_and_the_milliseconds(spec, tmp_path):
     count = len(CSV_COLUMNS)
     names = [f"{name}_milliseconds" for name in NAMES]
     assert head[count:] == ["milliseconds", "read_milliseconds", *names]
-    assert [line[:count] for line in (head, *lines)] == whole
+    assert [line[:count] for line in (head, *lines)] == [line[:count] for line in whole]
     for line, result in zip(lines, seen, strict=True):
         times = [result.milliseconds, result.read_milliseconds, *result.run_milliseconds]
         assert line[count:] == [f"{value:.3f}" for value in times]

@@ -144,7 +144,7 @@ def add_describe(parser: Parser) -> None:
     parser.add_shared("--query", help="the run's images; without them, pairs are of the map's own")
     parser.add_shared("--order", "--skip-damaged")
     parser.add_shared("--techniques", required=True)
-    parser.add_shared("--weights", "--cache", "--executor")
+    parser.add_shared("--weights", "--device", "--trust", "--cache", "--executor")
     pairs = "pairs for each image of the run (default: %(default)s)"
     parser.add_argument("--top-k", type=int, default=TOP, metavar="K", help=pairs)
     parser.add_shared("--out", metavar="DIR", help="for NAME.h5 and NAME-pairs.txt")

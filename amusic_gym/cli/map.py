@@ -104,6 +104,7 @@ def _add_build(parser: Parser) -> None:
     parser.add_shared("--techniques", required=True)
     parser.add_shared("--weights", "--seconds", "--name")
     parser.add_shared("--out", metavar="MAP")
+    parser.set_defaults(device="cpu", trust=False)  # a map is loaded without a question, anywhere
 
 
 def _add_append(parser: Parser) -> None:
