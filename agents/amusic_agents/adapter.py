@@ -16,6 +16,9 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
+MASKS = "action_masks"
+"""Method of the wrappers of :mod:`amusic_gym.envs.wrappers` that sb3-contrib asks for masks."""
+
 
 class SB3VecEnv(VecEnv):
     """Wraps a vector environment with SAME_STEP autoreset; Stable-Baselines3 takes no other.
@@ -135,8 +138,10 @@ class SB3VecEnv(VecEnv):
         indices: VecEnvIndices = None,
         **method_kwargs: Any,
     ) -> list[Any]:
-        """Call a method of the wrapped environment once."""
+        """Call a method of the wrapped environment once; masks are split between the routes."""
         result = getattr(self._owner(method_name), method_name)(*method_args, **method_kwargs)
+        if method_name == MASKS:
+            return [result[i] for i in self._get_indices(indices)]
         return self._per_route(result, indices)
 
     def env_is_wrapped(
