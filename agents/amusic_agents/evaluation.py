@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.sources import SimulatedRoutes
 from amusic_gym.evaluation.metrics import compute
 from amusic_gym.evaluation.rollout import Job, rollouts
 from amusic_gym.policies.protocol import Selector
-from amusic_gym.routes.simulate import population
+from amusic_gym.routes.simulate import Simulation, population
 
 HELD_OUT_SEED = 2_000_000_000
 COMPUTE_WEIGHTS = (0.03, 0.1, 0.3, 1.0, 3.0)
@@ -43,6 +44,18 @@ def measure(selector: Selector, jobs: Sequence[Job], **options: Any) -> NDArray[
     return np.array(rows).T
 
 
+def held_out_routes(simulation: Simulation, routes: int) -> list[ScoreBank]:
+    """Simulated routes of seeds that training never draws.
+
+    Args:
+        simulation: ranges that they are drawn from.
+        routes: how many.
+    """
+    source = SimulatedRoutes(simulation, pool=routes, seed=HELD_OUT_SEED, keep=routes)
+    rng = np.random.default_rng(0)
+    return [source.sample(rng, i)[0] for i in range(routes)]
+
+
 class HeldOut:
     """Simulated routes of seeds that training never draws.
 
@@ -52,11 +65,7 @@ class HeldOut:
     """
 
     def __init__(self, routes: int, statistic: str) -> None:
-        source = SimulatedRoutes(
-            population(statistic), pool=routes, seed=HELD_OUT_SEED, keep=routes
-        )
-        rng = np.random.default_rng(0)
-        banks = [source.sample(rng, i)[0] for i in range(routes)]
+        banks = held_out_routes(population(statistic), routes)
         self.jobs = [Job(bank, weight) for bank in banks for weight in COMPUTE_WEIGHTS]
         self.statistic = statistic
 
