@@ -11,6 +11,7 @@ from amusic_agents.config import (
     USED_BY,
     TrainingConfig,
     leaves,
+    nested,
     training_config,
     with_values,
 )
@@ -18,7 +19,7 @@ from amusic_agents.run_folder import stored, write_config
 
 from amusic_gym.cli import train
 from amusic_gym.cli.parser import Parser
-from amusic_gym.cli.settings import APART, given_settings, nested, option, settings_of
+from amusic_gym.cli.settings import APART, given_settings, option, settings_of
 
 
 def parsed(*words: object):

@@ -337,3 +337,24 @@ def leaves(settings: Settings, prefix: str = "") -> dict[str, Any]:
         nested = isinstance(value, Settings)
         found |= leaves(value, f"{prefix}{each.name}.") if nested else {prefix + each.name: value}
     return found
+
+
+def with_leaves(settings: Any, values: Mapping[str, Any]) -> Any:
+    """Settings with other values, named as `leaves` names them.
+
+    Raises:
+        ValueError: as `with_values`.
+    """
+    return with_values(settings, nested(values))
+
+
+def nested(values: Mapping[str, Any]) -> dict[str, Any]:
+    """``{"network.hidden": 32}`` as ``{"network": {"hidden": 32}}``."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        *outer, last = name.split(".")
+        into = found
+        for each in outer:
+            into = into.setdefault(each, {})
+        into[last] = value
+    return found

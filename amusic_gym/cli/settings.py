@@ -117,18 +117,6 @@ def _value(text: str) -> float | str | tuple[float, ...]:
     return numbers if len(numbers) > 1 else numbers[0]
 
 
-def nested(given: Mapping[str, Any]) -> dict[str, Any]:
-    """``{"network.hidden": 32}`` as ``{"network": {"hidden": 32}}``."""
-    found: dict[str, Any] = {}
-    for name, value in given.items():
-        *outer, last = name.split(".")
-        into = found
-        for each in outer:
-            into = into.setdefault(each, {})
-        into[last] = value
-    return found
-
-
 def settings_of(args: argparse.Namespace) -> TrainingConfig:
     """The algorithm's defaults, with what ``--config`` and then the options say.
 
@@ -136,7 +124,7 @@ def settings_of(args: argparse.Namespace) -> TrainingConfig:
         FileNotFoundError: if the file is missing.
         ValueError: if it is damaged, or for a setting that is unknown, refused or of no use.
     """
-    from amusic_agents.config import training_config, with_values
+    from amusic_agents.config import training_config, with_leaves, with_values
 
     given = given_settings(args)
     file = {} if args.config is None else _read(args.config)
@@ -146,7 +134,7 @@ def settings_of(args: argparse.Namespace) -> TrainingConfig:
     except ValueError as error:
         raise ValueError(f"{args.config}: {error}") from error
     refuse_unused(config.algorithm, given)
-    return with_values(config, nested(given))  # type: ignore[no-any-return]
+    return with_leaves(config, given)  # type: ignore[no-any-return]
 
 
 def refuse_unused(algorithm: str, names: Iterable[str]) -> None:

@@ -11,7 +11,7 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from amusic_gym.cli.parser import Parser, destination
 from amusic_gym.cli.settings import FREE, add_settings, given_settings, refuse_others, settings_of
@@ -40,7 +40,11 @@ def main(args: argparse.Namespace) -> None:
 
 
 def learn(
-    out: Path, config: TrainingConfig, banks: Sequence[str] = (), resume: bool = False
+    out: Path,
+    config: TrainingConfig,
+    banks: Sequence[str] = (),
+    resume: bool = False,
+    **options: Any,
 ) -> None:
     """Train with the configuration's algorithm, after choosing a teacher where it needs one.
 
@@ -49,6 +53,7 @@ def learn(
         config: how.
         banks: folders of banks to train on; none: simulated routes.
         resume: go on from the folder's last checkpoint.
+        options: others of `amusic_agents.training.train`.
     """
     from amusic_agents.training import IMITATION, refuse_used, train
 
@@ -60,7 +65,7 @@ def learn(
             refuse_used(out)
         folder = out if config.algorithm == "imitation" else out / IMITATION
         teacher = make_teacher(folder, config, resume=resume)
-    train(out, config, banks=banks, teacher=teacher, resume=resume)
+    train(out, config, banks=banks, teacher=teacher, resume=resume, **options)
 
 
 def _config(args: argparse.Namespace) -> TrainingConfig:
