@@ -55,6 +55,7 @@ class _Recoded:
         self._task = task
         space = self._space(task)
         if isinstance(env, VectorEnv):
+            self.autoreset_mode = env.metadata.get("autoreset_mode")  # where TorchRL looks
             self.single_action_space = space
             space = batch_space(space, env.num_envs)
         self.action_space = space
