@@ -110,6 +110,7 @@ def test_the_vector_is_the_single_ones(wrapper, mode):
     native = SINGLE[wrapper](native)
     assert native.single_action_space == sync.single_action_space
     assert native.action_space == sync.action_space
+    assert native.autoreset_mode is mode
     first, second = (env.reset(seed=3) for env in (sync, native))
     assert_same(first, second)
     sync.action_space.seed(0)
