@@ -18,7 +18,7 @@ WORKERS ?= 2
 VENV := .venv
 PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
-PACKAGES := amusic_gym baselines agents scripts tests
+PACKAGES := amusic_gym baselines agents scripts examples tests
 
 .PHONY: help setup demo docs check test lint format bench train-default clean
 

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import gymnasium as gym
 import numpy as np
 import pytest
 from amusic_agents.adapter import SB3VecEnv
-from env_cases import random_actions, random_bank
+from env_cases import assert_same, random_actions, random_bank
 from gymnasium.wrappers import vector
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.envs.observation import ROUTE_FEATURES
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
@@ -67,10 +71,11 @@ def assert_ended(info, last, truncated, past) -> None:
     assert info["TimeLimit.truncated"] is bool(truncated)
     assert info["episode"]["l"] == len(past)
     assert info["episode"]["r"] == pytest.approx(sum(step["reward"] for step in past))
-    assert set(info["reward_terms"]) == {"correctness", "compute"}
-    for name, value in info["reward_terms"].items():
+    terms = info["episode"]["reward_terms"]
+    assert set(terms) == {"correctness", "compute"}
+    for name, value in terms.items():
         assert value == pytest.approx(np.mean([step[name] for step in past]))
-    total = sum(info["reward_terms"].values()) * len(past)
+    total = sum(terms.values()) * len(past)
     assert total == pytest.approx(info["episode"]["r"])
 
 
@@ -209,7 +214,7 @@ def test_one_route_works_alone():
     wrapped.reset()
     action = np.ones((1, 3))
     ends = [(done[0], len(infos[0])) for _, _, done, infos in map(wrapped.step, [action] * 4)]
-    assert ends == [(False, 0), (True, 4)] * 2
+    assert ends == [(False, 0), (True, 3)] * 2
 
 
 def test_what_is_written_to_an_info_stays_in_that_step(bank):
@@ -221,3 +226,26 @@ def test_what_is_written_to_an_info_stays_in_that_step(bank):
         infos[1]["step"] = number
     assert [infos[1] for infos in steps] == [{"step": 0}, {"step": 1}, {"step": 2}]
     assert steps[0][0] == {}
+
+
+@pytest.mark.parametrize("arguments", [{}, {"episode_length": 5, "reselection": 3, "slots": 4}])
+def test_infos_on_request_are_those_of_single_environments(arguments):
+    options = {"bank": BANKS, "compute_weight": (0.1, 3.0), **arguments}
+    env = SB3VecEnv(native(**arguments), infos=True)
+    own = DummyVecEnv([partial(TechniqueSelectionEnv, **options)] * 4)
+    for each in (env, own):
+        each.seed(7)
+    np.testing.assert_array_equal(env.reset(), own.reset())
+    assert_same(env.reset_infos, own.reset_infos)
+    ended = 0
+    for action in random_actions(1, 60, (4, *env.action_space.shape)):
+        got, wanted = env.step(action), own.step(action)
+        np.testing.assert_array_equal(got[2], wanted[2])
+        for one, other in zip(got[3], wanted[3], strict=True):
+            ended += "episode" in one
+            one.pop("episode", None)
+            other_ended = other.pop("TimeLimit.truncated")
+            assert one.pop("TimeLimit.truncated", False) is other_ended
+            assert_same(one, other)
+        assert_same(env.reset_infos, own.reset_infos)
+    assert ended > 4

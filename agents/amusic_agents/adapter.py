@@ -16,23 +16,30 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
+MASKS = "action_masks"
+"""Method of the wrappers of :mod:`amusic_gym.envs.wrappers` that sb3-contrib asks for masks."""
+
 
 class SB3VecEnv(VecEnv):
     """Wraps a vector environment with SAME_STEP autoreset; Stable-Baselines3 takes no other.
 
-    The infos hold what Stable-Baselines3 reads (``terminal_observation``,
-    ``TimeLimit.truncated``, ``episode``) and ``reward_terms`` of the ended episodes, so that the
-    hot path builds no dictionary for the other routes.
+    The infos of ended episodes hold what Stable-Baselines3 reads (``terminal_observation``,
+    ``TimeLimit.truncated``, ``episode``, and in this the means of the ``reward_terms``); those of
+    other steps hold nothing, so that the hot path builds no dictionary for every route.
 
     Args:
         env: a :class:`~amusic_gym.envs.vector_env.TechniqueSelectionVectorEnv`, in Gymnasium's
             vector wrappers or not.
+        infos: whether the infos of every step, and ``reset_infos``, hold all that the environment
+            tells of a route, as single environments in a ``DummyVecEnv`` would.
 
     Raises:
         ValueError: for another autoreset mode.
     """
 
-    def __init__(self, env: TechniqueSelectionVectorEnv | VectorWrapper) -> None:
+    def __init__(
+        self, env: TechniqueSelectionVectorEnv | VectorWrapper, infos: bool = False
+    ) -> None:
         mode = env.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.SAME_STEP:
             raise ValueError(
@@ -43,6 +50,7 @@ class SB3VecEnv(VecEnv):
         self.render_mode = env.render_mode
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self.metadata = env.metadata
+        self.infos = infos
         self._actions: NDArray[Any] = np.zeros(0)
         self._returns = np.zeros(env.num_envs)
         self._lengths = np.zeros(env.num_envs, np.int64)
@@ -53,7 +61,9 @@ class SB3VecEnv(VecEnv):
         """Begin an episode on every route, with the seeds and options set before."""
         seeds = self._seeds if any(seed is not None for seed in self._seeds) else None
         options = self._merged_options()
-        observation, _ = self.env.reset(seed=seeds, options=options)
+        observation, info = self.env.reset(seed=seeds, options=options)
+        if self.infos:
+            self.reset_infos = [_of_route(info, i) for i in range(self.num_envs)]
         self._returns[:] = 0.0
         self._lengths[:] = 0
         self._terms.clear()
@@ -80,11 +90,17 @@ class SB3VecEnv(VecEnv):
         done = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        infos: list[dict[str, Any]] = [
+            _of_route(info, i) if self.infos else {} for i in range(self.num_envs)
+        ]
         terms = info["final_info"]["reward_terms"] if done.any() else info["reward_terms"]
         self._sum_terms(terms, info["reward_terms"], done)
-        for i in np.flatnonzero(done):
-            infos[i] = self._ended(int(i), info["final_obs"][i], bool(truncated[i]))
+        for i in np.flatnonzero(done).tolist():
+            ended = self._ended(i, info["final_obs"][i], bool(truncated[i]))
+            if self.infos:
+                self.reset_infos[i] = infos[i]
+                ended = {**_of_route(info["final_info"], i), **ended}
+            infos[i] = ended
         return observation, rewards.astype(np.float32), done, infos
 
     def _sum_terms(self, final: dict[str, Any], running: dict[str, Any], done: Any) -> None:
@@ -102,8 +118,8 @@ class SB3VecEnv(VecEnv):
                 "r": float(self._returns[i]),
                 "l": length,
                 "t": time.monotonic() - self._begun,
+                "reward_terms": {n: float(v[i]) / length for n, v in self._terms.items()},
             },
-            "reward_terms": {name: float(v[i]) / length for name, v in self._terms.items()},
         }
         self._returns[i] = 0.0
         self._lengths[i] = 0
@@ -135,8 +151,10 @@ class SB3VecEnv(VecEnv):
         indices: VecEnvIndices = None,
         **method_kwargs: Any,
     ) -> list[Any]:
-        """Call a method of the wrapped environment once."""
+        """Call a method of the wrapped environment once; masks are split between the routes."""
         result = getattr(self._owner(method_name), method_name)(*method_args, **method_kwargs)
+        if method_name == MASKS:
+            return [result[i] for i in self._get_indices(indices)]
         return self._per_route(result, indices)
 
     def env_is_wrapped(
@@ -160,3 +178,16 @@ class SB3VecEnv(VecEnv):
 
     def _per_route(self, value: Any, indices: VecEnvIndices) -> list[Any]:
         return [value] * len(list(self._get_indices(indices)))
+
+
+def _of_route(infos: dict[str, Any], i: int) -> dict[str, Any]:
+    """What a single environment would tell, from the infos of a vector environment."""
+    own: dict[str, Any] = {}
+    for name, values in infos.items():
+        if name.startswith(("_", "final_")):
+            continue
+        if isinstance(values, dict):
+            own[name] = _of_route(values, i)
+        else:
+            own[name] = values[i].copy() if np.ndim(values) > 1 else values[i].item()
+    return own

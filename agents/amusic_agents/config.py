@@ -5,7 +5,7 @@ Nothing here loads PyTorch, so that a command line can name the settings at once
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any
@@ -32,6 +32,13 @@ DEFAULTS: dict[str, dict[str, Any]] = {
 }
 """Where an algorithm's defaults are not those of PPO from scratch."""
 
+USED_BY = {
+    "network": ("ppo", "imitation", "imitation+ppo"),
+    "imitation": ("imitation", "imitation+ppo"),
+    "rollouts": ("rollouts",),
+}
+"""Settings within those of a training → the algorithms that have a use for them."""
+
 HIGHEST_SEED = 1_000_000_000
 """Seeds beyond would draw the held-out routes for training."""
 
@@ -55,6 +62,14 @@ def amount(default: float) -> float:
 def _at_least_zero(name: str, value: Any) -> None:
     if number(name, value, "a number >= 0") < 0.0:
         raise ValueError(f"{name} is {value!r}; give a number >= 0")
+
+
+def _weights(name: str, value: Any) -> None:
+    wanted = "(low, high) with 0 < low <= high"
+    ends = value if isinstance(value, tuple) and len(value) == 2 else (None, None)
+    low, high = (number(name, end, wanted) for end in ends)
+    if not 0.0 < low <= high:
+        raise ValueError(f"{name} is {value!r}; give {wanted}")
 
 
 def checked(default: Any, check: Callable[[str, Any], object]) -> Any:
@@ -203,7 +218,7 @@ class TrainingConfig(Settings):
     discount: bool | None = SICSettings.discount
     allow_idle: bool = checked(False, flag)
     reward: str = "estimated"
-    compute_weights: tuple[float, float] = (0.01, 6.0)
+    compute_weights: tuple[float, float] = checked((0.01, 6.0), _weights)
     simulation: dict[str, Any] = field(default_factory=dict)
     pool: int = count(768)
     n_steps: int = count(64)
@@ -280,3 +295,66 @@ def training_config(algorithm: str, **given: Any) -> TrainingConfig:
         ValueError: for an unknown algorithm or a number out of range.
     """
     return TrainingConfig(**{"algorithm": algorithm, **DEFAULTS.get(algorithm, {}), **given})
+
+
+def with_values(settings: Any, values: Mapping[str, Any]) -> Any:
+    """Settings with other values, as JSON has them: lists for ranges, objects for settings within.
+
+    Args:
+        settings: the settings, which stay as they are.
+        values: name → value; what is not named is as in ``settings``.
+
+    Raises:
+        ValueError: for an unknown name or a value that is refused.
+    """
+    names = [each.name for each in fields(settings)]
+    changes = {}
+    for name, value in values.items():
+        if name not in names:
+            raise ValueError(suggest("setting", name, names))
+        own = getattr(settings, name)
+        if isinstance(own, Settings):
+            if not isinstance(value, Mapping):
+                raise ValueError(f"{name} is {value!r}; give an object with its settings")
+            changes[name] = with_values(own, value)
+        elif isinstance(value, Mapping):
+            changes[name] = {key: plain(each) for key, each in value.items()}
+        else:
+            changes[name] = plain(value)
+    return replace(settings, **changes)
+
+
+def plain(value: Any) -> Any:
+    """A value of JSON as a setting has it: a tuple for a list."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+def leaves(settings: Settings, prefix: str = "") -> dict[str, Any]:
+    """Every setting by name, those within others as ``network.hidden``."""
+    found: dict[str, Any] = {}
+    for each in fields(settings):
+        value = getattr(settings, each.name)
+        nested = isinstance(value, Settings)
+        found |= leaves(value, f"{prefix}{each.name}.") if nested else {prefix + each.name: value}
+    return found
+
+
+def with_leaves(settings: Any, values: Mapping[str, Any]) -> Any:
+    """Settings with other values, named as `leaves` names them.
+
+    Raises:
+        ValueError: as `with_values`.
+    """
+    return with_values(settings, nested(values))
+
+
+def nested(values: Mapping[str, Any]) -> dict[str, Any]:
+    """``{"network.hidden": 32}`` as ``{"network": {"hidden": 32}}``."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        *outer, last = name.split(".")
+        into = found
+        for each in outer:
+            into = into.setdefault(each, {})
+        into[last] = value
+    return found

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.envs.sources import SimulatedRoutes
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.envs.sources import SimulatedRoutes, ordinary
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation.metrics import compute
 from amusic_gym.evaluation.rollout import Job, rollouts
 from amusic_gym.policies.protocol import Selector
-from amusic_gym.routes.simulate import population
+from amusic_gym.routes.simulate import Simulation, population
 
 HELD_OUT_SEED = 2_000_000_000
 COMPUTE_WEIGHTS = (0.03, 0.1, 0.3, 1.0, 3.0)
@@ -43,6 +46,57 @@ def measure(selector: Selector, jobs: Sequence[Job], **options: Any) -> NDArray[
     return np.array(rows).T
 
 
+def held_out_source(simulation: Simulation, routes: int) -> SimulatedRoutes:
+    """Simulated routes of seeds that training never draws.
+
+    Args:
+        simulation: ranges that they are drawn from.
+        routes: how many.
+    """
+    return SimulatedRoutes(simulation, pool=routes, seed=HELD_OUT_SEED, keep=routes)
+
+
+def held_out_routes(simulation: Simulation, routes: int) -> list[ScoreBank]:
+    """The routes of `held_out_source`, one after the other."""
+    source = held_out_source(simulation, routes)
+    rng = np.random.default_rng(0)
+    return [source.sample(rng, i)[0] for i in range(routes)]
+
+
+Act = Callable[[NDArray[np.float32], Mapping[str, Any]], NDArray[Any]]
+"""Actions (N, ...) from observations (N, D) and the vector environment's infos."""
+
+
+def mean_reward(
+    act: Act,
+    *,
+    compute_weight: float,
+    routes: int = 64,
+    wrap: Callable[[Any], Any] = lambda env: env,
+    **arguments: Any,
+) -> float:
+    """Mean reward per frame on the routes that ``amusic rewards`` drives, to be compared with it.
+
+    Args:
+        act: chooses actions for N = ``routes`` routes at once; those of ended ones do not count.
+        compute_weight: λ.
+        routes: how many.
+        wrap: puts the native vector environment into wrappers.
+        arguments: others of the environment.
+    """
+    source = held_out_source(ordinary(SICSettings.statistic), routes)
+    arguments = {"compute_weight": compute_weight, **arguments}
+    env = wrap(TechniqueSelectionVectorEnv(routes, source, **arguments))
+    observation, info = env.reset(options={"bank": np.arange(routes)})
+    driving, total, frames = np.ones(routes, np.bool_), np.zeros(routes), np.zeros(routes)
+    while driving.any():
+        observation, reward, terminated, _, info = env.step(act(observation, info))
+        total += np.where(driving, reward, 0.0)
+        frames += driving
+        driving &= ~terminated
+    return float((total / frames).mean())
+
+
 class HeldOut:
     """Simulated routes of seeds that training never draws.
 
@@ -52,11 +106,7 @@ class HeldOut:
     """
 
     def __init__(self, routes: int, statistic: str) -> None:
-        source = SimulatedRoutes(
-            population(statistic), pool=routes, seed=HELD_OUT_SEED, keep=routes
-        )
-        rng = np.random.default_rng(0)
-        banks = [source.sample(rng, i)[0] for i in range(routes)]
+        banks = held_out_routes(population(statistic), routes)
         self.jobs = [Job(bank, weight) for bank in banks for weight in COMPUTE_WEIGHTS]
         self.statistic = statistic
 

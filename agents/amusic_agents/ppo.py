@@ -181,7 +181,7 @@ class PPOLearner(BaseCallback):
         """Record means per frame of the reward's terms, and the return, of ended episodes."""
         for info in ended:
             self.logger.record_mean("route/return", info["episode"]["r"])
-            for name, value in info["reward_terms"].items():
+            for name, value in info["episode"]["reward_terms"].items():
                 self.logger.record_mean(f"route/{name}", value)
 
     def _is_evaluated(self) -> bool:

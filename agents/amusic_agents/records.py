@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from pathlib import Path
@@ -45,6 +45,7 @@ class Records:
         config: the training's configuration.
         banks: folders of the banks, for ``config.json``.
         kind: of the selector that is trained.
+        evaluated: called with every evaluation once it is kept, those before a resume first.
     """
 
     def __init__(
@@ -53,6 +54,7 @@ class Records:
         config: TrainingConfig,
         banks: Sequence[str | None],
         kind: type[NetworkSelector],
+        evaluated: Callable[[Evaluation], object] | None = None,
     ) -> None:
         self.out = out
         self.config = config
@@ -62,6 +64,8 @@ class Records:
         self.evaluations: list[Evaluation] = []
         self.network: nn.Module | None = None  # the best
         self._stored: Evaluation | None = None  # of the selector on disk
+        self._evaluated = evaluated or (lambda evaluation: None)
+        self._told = 0  # evaluations
 
     @property
     def best(self) -> Evaluation | None:
@@ -96,6 +100,9 @@ class Records:
             self._stored = self.best
         write_config(self.out, stored(self.config, self.banks, self.best))
         write_table(self.out / EVALUATIONS, Evaluation._fields, self.evaluations)
+        for evaluation in self.evaluations[self._told :]:
+            self._told += 1
+            self._evaluated(evaluation)
 
     def write_selector(self, network: Any) -> None:
         """Store a network as the run's selector."""

@@ -27,7 +27,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import nn
 
-from amusic_agents.config import ImitationConfig, NetworkConfig, RolloutConfig, TrainingConfig
+from amusic_agents.config import TrainingConfig, with_values
 from amusic_agents.evaluation import Evaluation
 from amusic_agents.network import VERSION as NETWORK_VERSION
 from amusic_gym import __version__
@@ -50,9 +50,6 @@ FIRST_KIND = "selector"
 
 ENVIRONMENT = ("candidates", "history", "gamma", "carry", "discount", "allow_idle")
 """Arguments of the environment that a run may set besides the statistic."""
-
-NESTED = {"network": NetworkConfig, "imitation": ImitationConfig, "rollouts": RolloutConfig}
-"""Settings within those of a training."""
 
 Tensors = dict[str, torch.Tensor]
 
@@ -139,14 +136,8 @@ def stored_config(run: Path) -> TrainingConfig:
     try:
         values = dict(config["training"])
         values.pop("warm_start", None)  # of an earlier version
-        for name, kind in NESTED.items():
-            values[name] = kind(**values[name])
-        values["compute_weights"] = tuple(values["compute_weights"])
-        values["simulation"] = {
-            name: tuple(value) if isinstance(value, list) else value
-            for name, value in dict(values["simulation"]).items()
-        }
-        return TrainingConfig(**values)
+        given: TrainingConfig = with_values(TrainingConfig(), values)
+        return given
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(
             f"{run / CONFIG} is damaged ({error}); train the selector again"

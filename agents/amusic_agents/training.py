@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from inspect import signature
 from pathlib import Path
@@ -11,6 +11,7 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from amusic_agents.config import ALGORITHMS, TrainingConfig
+from amusic_agents.evaluation import Evaluation
 from amusic_agents.network import NetworkSelector
 from amusic_agents.records import Records
 from amusic_agents.run_folder import (
@@ -45,6 +46,7 @@ def train(
     source: RouteSource | None = None,
     teacher: Selector | None = None,
     callbacks: Sequence[BaseCallback] = (),
+    evaluated: Callable[[Evaluation], object] | None = None,
     resume: bool = False,
     progress: bool = True,
 ) -> NetworkSelector:
@@ -59,6 +61,8 @@ def train(
             reads ``info["compute_weight"]``, as :class:`amusic_agents.teachers.ByWeight` does,
             teaches every λ.
         callbacks: of Stable-Baselines3, for the algorithms that use its PPO.
+        evaluated: called with every evaluation once it is kept, those before a resume first; what
+            it raises ends the training. Those of the imitation before a PPO are left out.
         resume: go on from the folder's last checkpoint, with its configuration and banks; of
             ``config`` only ``timesteps`` and ``threads`` count then. A finished imitation or
             policy iteration is returned as it is; both go on with the same result as without a
@@ -90,7 +94,7 @@ def train(
                 " them out"
             )
         folders = [None] if source else [_folder(bank) for bank in banks]
-        records = Records(out, config, folders, learner_type.kind)
+        records = Records(out, config, folders, learner_type.kind, evaluated)
         begun = (out / CHECKPOINT).exists()
         start = None
         if config.algorithm == "imitation+ppo" and not begun:

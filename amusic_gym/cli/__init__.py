@@ -19,6 +19,8 @@ from amusic_gym.cli.status import run
 COMMANDS = {
     "bank": "make and inspect score banks, from images or scores, recorded or simulated",
     "train": "train a selector",
+    "tune": "search for a training's settings",
+    "rewards": "what rules and selectors reach in the environment without a bank",
     "compare": "compare policies on score banks",
     "failures": "draw contact sheets of the failures of a comparison",
     "study": "study policies over seeds, λ and motions, with intervals",

@@ -41,7 +41,8 @@ class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.i
     ## Action Space
     `MultiBinary(T)`: bit t runs technique t on the *next* frame. With `slots=S` there are S bits
     and S groups of the observation, whatever the route's T; the bits of empty slots do nothing.
-    Values are checked, not the dtype: 1, 1.0 and True are the same.
+    Values are checked, not the dtype: 1, 1.0 and True are the same. For algorithms that take no
+    bits, :mod:`amusic_gym.envs.wrappers` has actions of one or several numbers, with masks.
 
     With `reselection=M` there is one more bit, last: "re-select". It runs, before the frame is
     processed, every technique on those of the last M frames (as many as there are) that it missed,

@@ -1,0 +1,285 @@
+"""A study of a training's settings by Optuna: which reach the highest held-out score.
+
+A study folder holds Optuna's journal, the run folder of every trial, and the best settings so far
+as a file that ``train --config`` takes. Trials of a low score are pruned: those whose best score
+so far is below the median of the others' after as many evaluations.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from amusic_agents.config import TrainingConfig, leaves, with_leaves
+from amusic_agents.evaluation import Evaluation
+from amusic_agents.run_folder import CONFIG
+from amusic_agents.training import train
+from amusic_gym.utils.storage import only_writer, write_whole
+
+if TYPE_CHECKING:
+    import optuna
+
+JOURNAL, BEST, TRIALS = "journal.log", "best.json", "trials"
+NAME = "amusic"
+
+JUDGING = ("seed", "timesteps", "threads", "evaluate_every", "held_out")
+"""Settings that are no part of a search: they decide how long, on what and how well is measured."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """Numbers to search in.
+
+    Attributes:
+        low: the lowest.
+        high: the highest.
+        log: whether on a logarithmic scale.
+    """
+
+    low: float
+    high: float
+    log: bool = False
+
+
+Space = Mapping[str, Range | tuple[Any, ...]]
+"""Name of a setting, as of `leaves` → a range, or the values to choose from."""
+
+_PPO: Space = {
+    "learning_rate": Range(1e-4, 3e-3, log=True),
+    "entropy": Range(1e-4, 0.05, log=True),
+    "reward_discount": (0.8, 0.9, 0.95, 0.98, 0.99),
+    "gae_lambda": Range(0.7, 1.0),
+    "n_steps": (32, 64, 128),
+    "epochs": Range(1, 10),
+}
+SPACES: dict[str, Space] = {
+    "ppo": {**_PPO, "network.hidden": (32, 64, 128)},
+    "reselect": _PPO,
+    "imitation": {
+        "imitation.learning_rate": Range(1e-3, 1e-2, log=True),
+        "imitation.teacher_share": Range(0.2, 0.9),
+        "imitation.epochs": Range(2, 8),
+        "network.hidden": (32, 64, 128),
+    },
+    "imitation+ppo": {**_PPO, "frozen_updates": Range(0, 16)},
+    "rollouts": {
+        "rollouts.learning_rate": Range(5e-4, 1e-2, log=True),
+        "rollouts.discount": Range(0.95, 0.995),
+        "rollouts.hold": Range(1, 16),
+        "rollouts.horizon": Range(30, 120),
+        "rollouts.share": Range(0.4, 1.0),
+    },
+}
+"""What is searched, by algorithm, where nothing else is asked for."""
+
+Learn = Callable[[Path, TrainingConfig, bool, Callable[[Evaluation], None]], object]
+"""Trains in a run folder, from its last checkpoint if True, and tells of every evaluation."""
+
+
+class Study:
+    """A study in its folder, new or as it was left.
+
+    Args:
+        out: the study folder.
+        about: settings, space and banks of a new study, as JSON has them; None: as stored.
+
+    Raises:
+        ValueError: if Optuna is missing, the folder holds another study or none, or is damaged.
+    """
+
+    def __init__(self, out: Path, about: Mapping[str, Any] | None = None) -> None:
+        optuna = load_optuna()
+        self.out = out
+        path = out / JOURNAL
+        if about is None and not path.exists():
+            raise ValueError(f"{out} holds no study; leave out resume to begin one")
+        if about is not None and path.exists():
+            raise ValueError(f"{out} holds a study already; resume it or give another folder")
+        try:
+            backend = optuna.storages.journal.JournalFileBackend(str(path))
+            storage = optuna.storages.JournalStorage(backend)
+            named = {"study_name": NAME, "storage": storage}
+            if about is None:
+                self.study = optuna.load_study(**named)
+            else:
+                self.study = optuna.create_study(direction="maximize", **named)
+                for name, value in about.items():
+                    self.study.set_user_attr(name, value)
+            stored = self.study.user_attrs
+            self.base: TrainingConfig = with_leaves(TrainingConfig(), stored["settings"])
+            self.space = {
+                name: Range(**one) if isinstance(one, dict) else tuple(one)
+                for name, one in stored["space"].items()
+            }
+            self.banks: list[str] = list(stored["banks"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} is damaged ({error}); give another folder") from error
+        # Other draws than before, but the same after every resume from here.
+        seed = self.base.seed + len(self.study.trials)
+        self.study.sampler = optuna.samplers.TPESampler(seed=seed)
+        self.study.pruner = optuna.pruners.MedianPruner()
+
+    @property
+    def finished(self) -> list[optuna.trial.FrozenTrial]:
+        """Trials that were trained to their end or pruned."""
+        return [trial for trial in self.study.trials if trial.state.name in ("COMPLETE", "PRUNED")]
+
+    @property
+    def best(self) -> optuna.trial.FrozenTrial | None:
+        """The trial of the highest score, of those trained to their end."""
+        done = [trial for trial in self.finished if trial.state.name == "COMPLETE"]
+        return max(done, key=lambda trial: trial.value or 0.0, default=None)
+
+    def requeue(self) -> None:
+        """Put trials that a stop interrupted before the next ones; they go on in their folders."""
+        for trial in self.study.trials:
+            if trial.state.name == "RUNNING":
+                if trial.params:
+                    self.study.enqueue_trial(trial.params, user_attrs=trial.user_attrs)
+                self.study.tell(trial.number, state=load_optuna().trial.TrialState.FAIL)
+
+    def settings(self, trial: optuna.Trial | optuna.trial.FrozenTrial) -> TrainingConfig:
+        """The configuration of a trial."""
+        defaults = leaves(self.base)
+        values = {name: _draw(trial, name, of, defaults[name]) for name, of in self.space.items()}
+        found: TrainingConfig = with_leaves(self.base, values)
+        return found
+
+    def run_trial(self, learn: Learn) -> optuna.trial.FrozenTrial:
+        """Draw settings, train with them, and keep what they reached."""
+        optuna = load_optuna()
+        trial = self.study.ask()
+        config = self.settings(trial)
+        if "run" not in trial.user_attrs:
+            trial.set_user_attr("run", f"{trial.number:04d}")
+        run = self.out / TRIALS / trial.user_attrs["run"]
+        scores: list[float] = []
+
+        def evaluated(evaluation: Evaluation) -> None:
+            scores.append(evaluation.score)
+            trial.report(evaluation.score, len(scores))
+            if trial.should_prune():
+                raise optuna.TrialPruned
+
+        try:
+            learn(run, config, (run / CONFIG).exists(), evaluated)
+        except optuna.TrialPruned:
+            told = self.study.tell(trial, state=optuna.trial.TrialState.PRUNED)
+        else:
+            told = self.study.tell(trial, max(scores))
+        if self.best is not None:
+            best = json.dumps(asdict(self.settings(self.best)), indent=1)
+            write_whole(self.out / BEST, f"{best}\n".encode())
+        return told
+
+
+def tune(
+    out: str | Path,
+    config: TrainingConfig | None,
+    *,
+    trials: int,
+    space: Space | None = None,
+    banks: Sequence[str] = (),
+    learn: Callable[..., Learn] | None = None,
+    report: Callable[[str], object] = print,
+) -> TrainingConfig:
+    """Search for the settings that reach the highest held-out score.
+
+    Args:
+        out: the study folder; no other process writes to it meanwhile.
+        config: what every trial has but for what is searched; None: go on with the folder's study.
+        trials: how many are finished in the end, pruned ones among them.
+        space: what is searched; None: `SPACES` of the algorithm. Of a new study.
+        banks: folders of banks to train on; none: simulated routes. Of a new study.
+        learn: makes what trains from the study's banks; None: `train`, without a teacher.
+        report: called with a line for every trial.
+
+    Returns:
+        The best configuration.
+
+    Raises:
+        ValueError: if Optuna is missing, for settings that cannot be searched, for a folder in use
+            or with another study; also what a training refuses.
+        KeyboardInterrupt: when stopped; the study goes on with the trial that was stopped.
+    """
+    out = Path(out)
+    about = None
+    if config is not None:
+        space = SPACES[config.algorithm] if space is None else space
+        check_space(space, config)
+        plain = {n: asdict(s) if isinstance(s, Range) else list(s) for n, s in space.items()}
+        about = {"settings": leaves(config), "space": plain, "banks": [str(b) for b in banks]}
+    load_optuna()
+    with only_writer(out):
+        study = Study(out, about)
+        study.requeue()
+        run = (learn or _trainer)(study.banks)
+        while len(study.finished) < trials:
+            report(_line(study.run_trial(run), study.best))
+        if study.best is None:
+            raise ValueError(f"no trial of {out} came to its end; give more than {trials} trials")
+        return study.settings(study.best)
+
+
+def check_space(space: Space, config: TrainingConfig) -> None:
+    """Refuse what cannot be searched, or no training would take.
+
+    Raises:
+        ValueError: for the first such setting.
+    """
+    known = leaves(config)
+    if not space:
+        raise ValueError("there is nothing to search; give at least one setting")
+    for name, of in space.items():
+        if isinstance(known.get(name), bool) or not isinstance(known.get(name), int | float):
+            raise ValueError(f"{name} is no number of a training's settings; leave it out")
+        if name in JUDGING:
+            raise ValueError(f"{name} decides how trials are judged; leave it out")
+        if isinstance(of, Range) and not (of.low <= of.high and (of.low > 0 or not of.log)):
+            raise ValueError(
+                f"{name} from {of.low} to {of.high}; give LOW <= HIGH, 0 < LOW for log"
+            )
+        for value in (of.low, of.high) if isinstance(of, Range) else of:
+            with_leaves(config, {name: value})
+
+
+def _draw(trial: Any, name: str, of: Range | tuple[Any, ...], default: Any) -> Any:
+    """The value of a setting in a trial."""
+    if not isinstance(of, Range):
+        return trial.suggest_categorical(name, of)
+    suggest = trial.suggest_int if isinstance(default, int) else trial.suggest_float
+    return suggest(name, of.low, of.high, log=of.log)
+
+
+def _trainer(banks: Sequence[str]) -> Learn:
+    def learn(
+        out: Path, config: TrainingConfig, resume: bool, evaluated: Callable[[Evaluation], None]
+    ) -> None:
+        train(out, config, banks=banks, resume=resume, evaluated=evaluated)
+
+    return learn
+
+
+def _line(trial: optuna.trial.FrozenTrial, best: optuna.trial.FrozenTrial | None) -> str:
+    scores = list(trial.intermediate_values.values())
+    what = f"pruned after {len(scores)} evaluations," if trial.state.name == "PRUNED" else "score"
+    params = " ".join(f"{n}={v:g}" for n, v in trial.params.items())
+    reached = "" if best is None else f"; best {best.value:.4f}, trial {best.number}"
+    return f"trial {trial.number}: {what} {max(scores):.4f}{reached}  {params}"
+
+
+def load_optuna() -> Any:
+    """Optuna, which says nothing of its own.
+
+    Raises:
+        ValueError: if it is not installed.
+    """
+    try:
+        import optuna
+    except ImportError:
+        raise ValueError('tuning needs Optuna: pip install "amusic-gym[tune]"') from None
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    return optuna
