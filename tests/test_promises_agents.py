@@ -31,7 +31,7 @@ from env_cases import random_bank
 from safetensors.torch import load_file, save_file
 from small_training import SMALL, train_script
 
-from amusic_gym.envs.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
+from amusic_gym.envs.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES, VERSION
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation.rollout import rollout
 
@@ -368,7 +368,10 @@ def edit(run: Path, **changes: object) -> None:
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"observation": 1}, "trained with observation version 1, this program has 4; train"),
+        (
+            {"observation": 1},
+            f"trained with observation version 1, this program has {VERSION}; train",
+        ),
         ({"network": 2}, "trained with network version 2, this program has 1; train"),
         ({"format": None}, "trained with format version None, this program has 1; train"),
         (
