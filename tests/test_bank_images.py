@@ -131,7 +131,8 @@ def test_the_centre_is_the_middle_of_the_nearest_run_of_true_places(data):
     places = data.draw(
         st.lists(st.integers(-1, references - 1), min_size=len(matrix), max_size=len(matrix))
     )
-    found = GroundTruth.from_matrix(np.array(matrix)).centres(places)
+    truth = GroundTruth.from_matrix(np.array(matrix))
+    half, found = truth.half_run(), truth.centres(places)
     for row, place, centre in zip(matrix, places, found.tolist(), strict=True):
         true = [at for at, on in enumerate(row) if on]
         if not true:
@@ -143,4 +144,16 @@ def test_the_centre_is_the_middle_of_the_nearest_run_of_true_places(data):
             low -= 1
         while high + 1 in true:
             high += 1
-        assert centre == (low + high) // 2
+        expected = (low + high) // 2
+        if high - low < 2 * half and low == 0:  # cut off by the map's end
+            expected = max(high - half, 0)
+        elif high - low < 2 * half and high == references - 1:
+            expected = min(low + half, high)
+        assert centre == expected
+
+
+@pytest.mark.parametrize("tolerance", [0, 1, 2, 5])
+def test_with_a_tolerance_the_centre_is_the_place_also_at_the_ends(tolerance):
+    frames = np.arange(30)
+    truth = GroundTruth.from_places(frames, tolerance, 30)
+    assert truth.centres(frames[::-1]).tolist() == frames.tolist()

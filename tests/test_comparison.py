@@ -507,6 +507,8 @@ def test_a_headline_names_the_best_and_the_cheapest_that_is_near():
     said = figures.headline(rows)
     assert "A-MuSIC has the highest AUC, 0.900, at 90%" in said  # equal to three digits: cheaper
     assert said.endswith("selector, λ 0.6 comes within 0.02 of it at 30%.")
+    rows += [row("ppo", 0.95, 0.1, 2.0), row("single:A", 0.95, 0.1)]  # as good and as cheap
+    assert "A has the highest AUC, 0.950, at 10%" in figures.headline(rows)
 
 
 def test_summary_of_a_kept_row_is_stored_beside_its_trace(tmp_path):

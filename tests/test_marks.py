@@ -51,10 +51,10 @@ def runs(tmp_path_factory) -> dict[str, str]:
 def test_a_mark_and_its_footnote_are_for_those_that_need_ground_truth_and_are_shown():
     assert [marked(name, NEEDS) for name in ("oracle", "music")] == ["oracle †", "music"]
     assert footnote(["music", "oracle", "music", "oracle"], NEEDS) == (
-        "† needs ground truth: oracle of the route itself."
+        "† has seen ground truth: oracle of the route itself."
     )
     assert footnote(["switchhit", "oracle"], NEEDS) == (
-        "† needs ground truth: switchhit of routes to learn from; oracle of the route itself."
+        "† has seen ground truth: switchhit of routes to learn from; oracle of the route itself."
     )
     assert footnote(["music"], NEEDS) == ""
     assert footnote([], NEEDS) == ""
@@ -90,8 +90,8 @@ def test_a_comparison_marks_peers_bounds_and_selectors_that_need_ground_truth(ru
         lines = block.splitlines()[2:]
         assert [line.split()[1] == "†" for line in lines] == [False, True, True, True, False]
     assert note == (
-        "† needs ground truth: oracle of the route itself; switchhit:0.6 of routes to learn from; "
-        f"{runs['told']} of the routes that it was trained on."
+        "† has seen ground truth: oracle of the route itself; switchhit:0.6 of routes to learn "
+        f"from; {runs['told']} of the routes that it was trained on."
     )
     assert [row["policy"] for row in result.rows[:5]] == specs  # as other programs read them
     plain = compare(
@@ -162,6 +162,6 @@ def test_a_report_says_below_the_table_what_the_mark_means(tmp_path):
     def page(rows: list[dict[str, Any]]) -> str:
         return write_report(tmp_path / "x.html", title="t", sentences=[], rows=rows).read_text()
 
-    note = '<p class="note">† needs ground truth</p></section>'
+    note = '<p class="note">† has seen ground truth</p></section>'
     assert note in page(result.rows)
     assert "†" not in page(result.rows[:1])

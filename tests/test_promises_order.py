@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from image_cases import encoded, picture
 from PIL import Image as Pillow
 
+from amusic_gym.banks.ground_truth import resolve_ground_truth
 from amusic_gym.extraction import extract
 from amusic_gym.extraction.describe import images_of
 from amusic_gym.routes import image_truth
@@ -178,6 +179,12 @@ def test_45_places_that_are_all_true_are_refused(tmp_path):
     with pytest.raises(ValueError, match="any place would be right; give fewer metres"):
         image_truth.by_position(here, there)
     assert image_truth.by_position(here, there, metres=1.5).places.size == 10
+
+
+def test_45_a_tolerance_that_makes_every_place_true_is_refused():
+    with pytest.raises(ValueError, match="every one of the 40 places is right for every frame"):
+        resolve_ground_truth(None, 39, 40, 40)
+    assert resolve_ground_truth(None, 38, 40, 40)[1] == 38
 
 
 def test_45_headings_may_be_limited(tmp_path):

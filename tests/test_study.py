@@ -754,7 +754,7 @@ def test_tables_show_every_point_once_and_mark_what_needs_ground_truth(whole):
         assert line[3] == f"{point['auc']:.3f}"
         assert len(line) == len(first.heads)
     assert sum(line[0] == "oracle †" for line in first.rows) == 1
-    assert "† needs ground truth: oracle of the route itself." in first.note
+    assert "† has seen ground truth: oracle of the route itself." in first.note
     assert all(len(line) == len(table.heads) for table in made for line in table.rows)
 
 

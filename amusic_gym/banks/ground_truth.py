@@ -15,6 +15,9 @@ from amusic_gym.utils.checks import whole
 LARGEST_TOLERANCE = 2**31 - 1
 """Places; the compiled dynamics count no further."""
 
+_FEW = 20
+"""Places of a map so small that all of them may be right for all frames."""
+
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
@@ -192,6 +195,8 @@ class GroundTruth:
     def centres(self, predictions: ArrayLike) -> NDArray[np.int64]:
         """(Q,) middle of the run of true neighbours nearest to each frame's prediction.
 
+        A run that the map's end cuts off has its middle where that of a whole one would be.
+
         Args:
             predictions: (Q,) places in [0, R), or -1.
 
@@ -205,7 +210,13 @@ class GroundTruth:
         known = self.has_place
         nearest = self._nearest(places[known], queries[known])
         run = np.searchsorted(first, nearest, "right") - 1
-        result[known] = (self.places[first[run]] + self.places[last[run]]) // 2
+        low, high = self.places[first[run]], self.places[last[run]]
+        half, end = self.half_run(), self.references - 1
+        cut = high - low < 2 * half
+        middle = np.where(cut & (low == 0), np.maximum(high - half, 0), (low + high) // 2)
+        result[known] = np.where(
+            cut & (high == end) & (low > 0), np.minimum(low + half, end), middle
+        )
         return result
 
     def _nearest(self, places: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -307,6 +318,11 @@ def resolve_ground_truth(
             ground_truth = GroundTruth.from_places(ground_truth, 0, references)
             ground_truth = ground_truth.widened(tolerance, parts)
     _check_shape((ground_truth.queries, ground_truth.references), queries, references)
+    if references >= _FEW and ground_truth.places.size == queries * references:
+        raise ValueError(
+            f"every one of the {references} places is right for every frame, so nothing could be "
+            f"wrong; give a smaller tolerance than {tolerance}, or mend the ground truth"
+        )
     return ground_truth, ground_truth.half_run() if tolerance is None else tolerance
 
 

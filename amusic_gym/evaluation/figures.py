@@ -11,7 +11,7 @@ from amusic_gym.evaluation.comparison import Comparison, rows_by_bank, spread
 from amusic_gym.evaluation.plots import labels
 from amusic_gym.evaluation.report import ReportFigure, write_report
 from amusic_gym.evaluation.tables import Table
-from amusic_gym.policies.registry import BOUND, parse
+from amusic_gym.policies.registry import BOUND, LEARNED, parse
 from amusic_gym.policies.trace import Trace
 from amusic_gym.utils.names import distinct, file_stem
 from amusic_gym.utils.storage import keep_only
@@ -61,8 +61,8 @@ def draw(comparison: Comparison, folder: str | Path) -> list[ReportFigure]:
 def headline(rows: Sequence[Mapping[str, Any]]) -> str:
     """The highest AUC of a bank's rows in one sentence, and the cheapest within `NEAR` of it."""
     shown = [row for row in rows if parse(row["policy"]).policy.family != BOUND]
-    best = max(shown, key=lambda row: (round(row["auc"], 3), -row["compute"]))
-    near = min((r for r in shown if r["auc"] >= best["auc"] - NEAR), key=lambda r: r["compute"])
+    best = min(shown, key=lambda row: (-round(row["auc"], 3), *_price(row)))
+    near = min((row for row in shown if row["auc"] >= best["auc"] - NEAR), key=_price)
     cheaper = f"{_named(near)} comes within {NEAR} of it at {near['compute']:.0%}"
     if near is best:
         cheaper = f"nothing cheaper comes within {NEAR} of it"
@@ -70,6 +70,11 @@ def headline(rows: Sequence[Mapping[str, Any]]) -> str:
         f"Of {len(shown)} policies, {_named(best)} has the highest AUC, {best['auc']:.3f}, at"
         f" {best['compute']:.0%} of the compute of all techniques; {cheaper}."
     )
+
+
+def _price(row: Mapping[str, Any]) -> tuple[float, bool]:
+    """What a policy costs; of equals a rule goes before a trained selector that does as much."""
+    return round(row["compute"], 3), parse(row["policy"]).policy.family == LEARNED
 
 
 def write_page(comparison: Comparison, folder: str | Path) -> Path:

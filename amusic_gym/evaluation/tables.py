@@ -55,11 +55,11 @@ def footnote(shown: Iterable[str], needs_truth: Mapping[str, str]) -> str:
     """What the mark means, for the policies of a table; empty where none has it.
 
     >>> footnote(["music", "oracle"], {"oracle": "of the route itself"})
-    '† needs ground truth: oracle of the route itself.'
+    '† has seen ground truth: oracle of the route itself.'
 
     Args:
         shown: names of the policies that the table shows.
         needs_truth: name of a policy → of what it needs ground truth.
     """
     needed = [f"{who} {needs_truth[who]}" for who in dict.fromkeys(shown) if who in needs_truth]
-    return f"{MARK} needs ground truth: {'; '.join(needed)}." if needed else ""
+    return f"{MARK} has seen ground truth: {'; '.join(needed)}." if needed else ""

@@ -104,7 +104,7 @@ def _draw(findings: Findings, scopes: Sequence[str], path: Path) -> None:
             costs = findings.settings["costs"]
             axes.set_xlabel(f"Compute, as a share of running everything ({costs} costs)")
         columns = max(3, 2 * len(conditions))
-        truth = f"; {MARK} needs ground truth" if findings.settings["needs_truth"] else ""
+        truth = f"; {MARK} has seen ground truth" if findings.settings["needs_truth"] else ""
         figure.legend(
             known.values(),
             known.keys(),
