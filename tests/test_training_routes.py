@@ -10,7 +10,7 @@ from amusic_agents.config import TrainingConfig
 from amusic_agents.run_folder import stored, stored_config, write_config
 from amusic_agents.training import simulated_routes
 
-from amusic_gym.cli import train
+from amusic_gym.cli import settings, train
 from amusic_gym.cli.parser import Parser
 from amusic_gym.routes.simulate import POPULATION, TOURS
 
@@ -30,7 +30,7 @@ def test_what_is_turned_off_on_the_command_line_is_in_the_configuration():
 
 def test_words_of_the_command_line_become_ranges():
     words = ["retimed=0", "wander=0:0.5", "motion=kidnapped"]
-    assert train.ranges(words) == {"retimed": 0, "wander": (0, 0.5), "motion": "kidnapped"}
+    assert settings.ranges(words) == {"retimed": 0, "wander": (0, 0.5), "motion": "kidnapped"}
 
 
 def test_the_given_ranges_replace_those_of_the_population_and_no_others():
