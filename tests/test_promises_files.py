@@ -35,10 +35,10 @@ from env_cases import random_bank
 from safetensors.torch import load_file
 from small_training import Quick, contents, small, small_rollouts
 
-from amusic_gym.cli.parser import destination
+from amusic_gym.cli.parser import destination, page_folder
 from amusic_gym.evaluation import plots
 from amusic_gym.evaluation.comparison import compare
-from amusic_gym.evaluation.figures import draw
+from amusic_gym.evaluation.figures import draw, write_page
 from amusic_gym.evaluation.study.cells import MEASURED
 from amusic_gym.evaluation.study.run import load_measures
 from amusic_gym.extraction.code import key_of
@@ -293,6 +293,18 @@ def test_51_only_named_files_within_the_folder_are_ever_removed(tmp_path):
     assert (tmp_path / "precious").exists()
     assert not (out / "a").exists()
     assert (out / "b").exists()
+
+
+def test_51_a_page_of_the_user_s_own_is_refused_before_any_work(tmp_path):
+    (tmp_path / "index.html").write_text("<!doctype html><title>mine</title>")
+    with pytest.raises(argparse.ArgumentTypeError, match="is no page of amusic-gym; rename it"):
+        page_folder(str(tmp_path))
+    result = compare([random_bank(1, queries=12)], Lineup("music"), tmp_path / "out", report=len)
+    page = write_page(result, tmp_path / "out")
+    assert page_folder(str(page.parent)) == page.parent
+    with pytest.raises(ValueError, match="is no page of amusic-gym"):
+        write_page(result, tmp_path)
+    assert "mine" in (tmp_path / "index.html").read_text()
 
 
 def test_51_nothing_but_the_bank_is_written_to_a_bank_s_folder(tmp_path, monkeypatch, routes):

@@ -25,7 +25,7 @@ from amusic_gym.banks.costs import COST_MODELS
 from amusic_gym.banks.importers import from_recording
 from amusic_gym.cli import demo_story as story
 from amusic_gym.cli import demo_tours as rendered
-from amusic_gym.cli.parser import Parser, destination
+from amusic_gym.cli.parser import Parser, page_folder
 from amusic_gym.evaluation.comparison import compare
 from amusic_gym.evaluation.contestants import Contestant, all_subsets, contestants
 from amusic_gym.evaluation.figures import draw, of_page
@@ -79,7 +79,7 @@ def training(folder: Path, iterations: int, seed: int) -> TrainingConfig:
 
 def add_arguments(parser: Parser) -> None:
     """Add the command's arguments."""
-    parser.add_shared("--out", type=destination, required=False, default=Path("out/demo"))
+    parser.add_shared("--out", type=page_folder, required=False, default=Path("out/demo"))
     parser.add_shared("--bank", help="yours, to compare on besides")
     costs = "paper: the same on every machine; runs: for any techniques (default: paper)"
     parser.add_shared("--costs", choices=COST_MODELS, default="paper", help=costs)

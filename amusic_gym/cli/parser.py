@@ -85,6 +85,18 @@ def destination(text: str) -> Path:
     return Path(text)
 
 
+def page_folder(text: str) -> Path:
+    """A `destination` in which a page ``index.html`` is to be written."""
+    from amusic_gym.evaluation.report import refuse_other_page
+
+    path = destination(text)
+    try:
+        refuse_other_page(path / "index.html")
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return path
+
+
 def add_statistic(parser: Parser, whose: str) -> None:
     """Add ``--statistic``, ``--no-carry`` and ``--no-discount``; `insisted` reads them.
 

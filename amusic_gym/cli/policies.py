@@ -7,7 +7,7 @@ import argparse
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.costs import COST_MODELS
 from amusic_gym.cli.options import MANY
-from amusic_gym.cli.parser import Parser, add_statistic, destination
+from amusic_gym.cli.parser import Parser, add_statistic, page_folder
 from amusic_gym.evaluation.contestants import COMPUTE_WEIGHTS, MOST_TECHNIQUES
 
 
@@ -21,7 +21,7 @@ def add_policies(parser: Parser, whose: str, most_weights: str = "") -> None:
     """
     parser.add_shared("--bank", required=True)
     parser.add_shared("--policy", **MANY)
-    parser.add_shared("--out", type=destination, metavar="DIR")
+    parser.add_shared("--out", type=page_folder, metavar="DIR")
     subsets = f"add every subset of the techniques, of at most {MOST_TECHNIQUES}"
     parser.add_argument("--all-subsets", action="store_true", help=subsets)
     parser.add_argument(

@@ -11,7 +11,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from amusic_gym.cli.parser import Parser, by_technique, destination
+from amusic_gym.cli.parser import Parser, by_technique, page_folder
 from amusic_gym.evaluation.reproduction.paper import TITLES
 
 
@@ -19,7 +19,7 @@ def add_arguments(parser: Parser) -> None:
     """Add the command's arguments."""
     root = "where the data sets' folders are"
     parser.add_argument("--root", type=Path, required=True, metavar="DIR", help=root)
-    parser.add_shared("--out", type=destination, metavar="DIR")
+    parser.add_shared("--out", type=page_folder, metavar="DIR")
     named = "only these (default: all six)"
     parser.add_argument("--dataset", nargs="+", choices=TITLES, default=list(TITLES), help=named)
     parser.add_shared("--weights", "--cache", "--executor")

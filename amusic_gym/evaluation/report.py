@@ -23,6 +23,9 @@ from amusic_gym.policies.trace import Trace
 from amusic_gym.routes.bank_images import BankImages
 from amusic_gym.utils.storage import write_whole
 
+GENERATOR = b'<meta name="generator" content="amusic-gym">'
+"""By which a page of ours is known."""
+
 PICTURES = {b"\x89PNG\r\n": "png", b"\xff\xd8\xff": "jpeg"}
 """First bytes of a figure's file -> its type."""
 
@@ -86,6 +89,20 @@ COLUMNS = {
 }
 
 
+def refuse_other_page(path: Path) -> None:
+    """Refuse the name of a file that is no page of ours, which would be lost.
+
+    Raises:
+        ValueError: for such a file.
+    """
+    if path.is_file():
+        with path.open("rb") as file:
+            if GENERATOR not in file.read(4096):
+                raise ValueError(
+                    f"{path} is a page of other origin; rename it, or give another folder"
+                )
+
+
 def write_report(
     path: str | Path,
     *,
@@ -116,13 +133,14 @@ def write_report(
 
     Raises:
         FileNotFoundError: a figure is not there.
-        ValueError: there is no row, or a figure is no PNG file.
+        ValueError: there is no row, a figure is no PNG file, or a page of others is there.
     """
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
     if not rows:
         raise ValueError("rows is empty; give at least one results row")
+    refuse_other_page(Path(path))
     sources = [figure.source for figure in figures]  # refused before anything is written
     beside = Beside(Path(path))
     data = Markup(page_data(rows, traces, images or {}, highlights, beside))
