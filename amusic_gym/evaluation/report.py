@@ -99,7 +99,7 @@ def refuse_other_page(path: Path) -> None:
         with path.open("rb") as file:
             if GENERATOR not in file.read(4096):
                 raise ValueError(
-                    f"{path} is a page of other origin; rename it, or give another folder"
+                    f"{path} is no page of amusic-gym; rename it, or give another folder"
                 )
 
 
