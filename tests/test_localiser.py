@@ -298,3 +298,25 @@ def test_an_iterator_of_images_is_a_source(town):
         stream.read(2)
     with pytest.raises(ValueError, match="no frame; give at least one image"):
         LiveRoute(town.maps, iter([]), tolerance=1)
+
+
+# ---- limits ------------------------------------------------------------------------------------
+
+
+def test_a_budget_and_a_cap_are_kept_and_saved(town, tmp_path):
+    how = {"seconds": dict(zip(NAMES, SECONDS, strict=True)), "budget_ms": 2500.0, "cap_ms": 6000}
+    images = drive() + drive(3)
+    localiser = Localiser(town, "ppo", **how)
+    for image in images[:50]:
+        localiser.update(image)
+    path = localiser.save_state(tmp_path / "state")
+    wanted = [localiser.update(image) for image in images[50:]]
+    assert {len(each.active) for each in wanted} <= {1, 2}
+    assert len({each.seen.compute_weight for each in wanted}) > 5
+    other = Localiser(town, "ppo", **how)
+    other.load_state(path)
+    assert [told(other.update(image)) for image in images[50:]] == [told(each) for each in wanted]
+    with pytest.raises(ValueError, match="was saved with settings"):
+        Localiser(town, "ppo", **{**how, "budget_ms": 2400.0}).load_state(path)
+    with pytest.raises(TypeError, match="budget_s"):
+        Localiser(town, "ppo", budget_s=1)

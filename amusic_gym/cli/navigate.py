@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,16 @@ from amusic_gym.cli.described import (
 )
 from amusic_gym.cli.drive import Journal, check_outputs
 from amusic_gym.cli.images import run_of
-from amusic_gym.cli.parser import Parser, add_statistic, correction_of, destination, insisted
+from amusic_gym.cli.options import MANY
+from amusic_gym.cli.parser import (
+    Parser,
+    add_statistic,
+    by_technique,
+    correction_of,
+    destination,
+    insisted,
+    numbers,
+)
 from amusic_gym.envs.frames import FrameSource, ImageSequence
 from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.envs.pictures.drive import Pictures
@@ -37,14 +47,17 @@ from amusic_gym.envs.task import RENDER_FPS
 from amusic_gym.envs.window import Window
 from amusic_gym.evaluation.contestants import Contestant, check_weights, contestants
 from amusic_gym.evaluation.plots.labels import policy_label
+from amusic_gym.live.limits import Keeper, Limits
 from amusic_gym.live.localiser import COMPUTE_WEIGHT, TOLERANCE
 from amusic_gym.live.navigation import FrameResult, TraceWriter, navigate
-from amusic_gym.policies.protocol import Context
+from amusic_gym.policies.protocol import Context, Policy
 from amusic_gym.routes import image_truth
 from amusic_gym.routes.positions import Positions
 from amusic_gym.routes.video import Camera, VideoFile, VideoWriter
 from amusic_gym.techniques import Image
 from amusic_gym.utils.checks import whole
+
+LIMITS = ("budget_ms", "budget_fps", "budget_joules", "cap_ms")
 
 WARM_UP = 2
 """Frames of the map that the policy is run on before the drive."""
@@ -63,6 +76,12 @@ def add_arguments(parser: Parser) -> None:
     add_statistic(parser, "unless the policy brings its own")
     weight = "λ of a trained selector or voi (default: %(default)s)"
     add("--compute-weight", type=float, default=COMPUTE_WEIGHT, metavar="L", help=weight)
+    budget = "per frame on average, which λ is steered to; give one of the three"
+    add("--budget-ms", type=float, metavar="MS", help=f"milliseconds {budget}")
+    add("--budget-fps", type=float, metavar="FPS", help="the same as frames per second")
+    add("--budget-joules", type=float, metavar="J", help="joules likewise; with --joules")
+    add("--joules", **MANY, metavar="NAME=J", help="of a run, of each technique")
+    add("--cap-ms", type=float, metavar="MS", help="milliseconds that no frame may exceed")
     add(
         "--tolerance",
         type=int,
@@ -97,6 +116,7 @@ def main(args: argparse.Namespace) -> None:
         else:
             described = from_file(args, stack)
             names = [one.technique.name for one in described.maps]
+        limits = _limits(args, names)
         _refuse_early(policy, names, correction)
         window = stack.enter_context(closing(_window())) if args.show else None
         video = stack.enter_context(VideoWriter(args.video, RENDER_FPS)) if args.video else None
@@ -106,11 +126,21 @@ def main(args: argparse.Namespace) -> None:
             described = from_images(args, techniques, seconds, frames, stack)
         truth = truth_of(args, described, frames, there, TOLERANCE)
         route = _route(args, described, frames, truth)
+        measured = len(by_technique(args.seconds, names, "--seconds")) < len(names)
+        keep = partial(
+            limits.keeper,
+            techniques=route.techniques,
+            seconds=route.seconds,
+            measured=measured,
+            weight=args.compute_weight,
+        )
+        route = route.with_seconds(limits.costs(route.techniques, route.seconds))
         _warm_up(policy, route, described.images[0], correction)
         pictures = Pictures(route, f"{route.name}, {policy_label(args.policy)}")
         trace = stack.enter_context(TraceWriter(args.trace, route)) if args.trace else None
+        drive = _drive(policy, route, correction, args.seed, keep)
         journal = stack.enter_context(Journal(route, quiet=args.quiet))
-        for result in islice(_drive(policy, route, correction, args.seed), args.frames):
+        for result in islice(drive, args.frames):
             journal.write(result)
             if trace:
                 trace.write(result)
@@ -132,6 +162,15 @@ def _check(args: argparse.Namespace) -> None:
         check_tolerance(args.tolerance)
     inputs = {"--query": args.query, "--ground-truth": args.ground_truth}
     check_outputs({"--trace": args.trace, "--video": args.video}, inputs)
+
+
+def _limits(args: argparse.Namespace, names: Sequence[str]) -> Limits:
+    """What a frame may cost, refused at once where the policy cannot keep to it."""
+    joules = numbers(by_technique(args.joules, names, "--joules"), "--joules")
+    fields = {name: getattr(args, name) for name in LIMITS}
+    limits = Limits(**fields, joules=joules or None)
+    limits.check(args.policy)
+    return limits
 
 
 def _refuse_early(policy: Contestant, names: Sequence[str], correction: Mapping[str, Any]) -> None:
@@ -213,8 +252,13 @@ def _warm_up(
 
 
 def _drive(
-    policy: Contestant, route: LiveRoute, correction: Mapping[str, Any], seed: int
+    policy: Contestant,
+    route: LiveRoute,
+    correction: Mapping[str, Any],
+    seed: int,
+    keep: Callable[[Policy], Keeper | None] = lambda policy: None,
 ) -> Iterator[FrameResult]:
     """A drive with a fresh policy."""
     made = policy.make(Context.of(route, seed=seed, **correction))
-    return navigate(made, route, compute_weight=policy.compute_weights[0], **correction)
+    weight = policy.compute_weights[0]
+    return navigate(made, route, compute_weight=weight, keeper=keep(made), **correction)

@@ -8,7 +8,7 @@ estimator (:mod:`amusic_gym.estimation.estimator`).
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -182,6 +182,20 @@ class Episodes:
         declare_costs(record, slots)
         self.estimator.begin(i, bank.references)
         self._point(i)
+
+    def set_compute_weight(self, i: int, weight: float) -> None:
+        """Set λ of a running episode: of rewards and observations from the next step on.
+
+        Args:
+            i: number of the route in the batch.
+            weight: λ, at least 0.
+        """
+        route = self.routes[i]
+        assert route is not None
+        self.routes[i] = replace(route, compute_weight=weight)
+        record = self.state.routes[i : i + 1]
+        record["compute_weight"] = weight
+        declare_costs(record, self.state.slots[i])
 
     def _point(self, i: int) -> None:
         """Write the addresses of a route's rows."""

@@ -192,6 +192,13 @@ class LiveRoute:
         view._charge(model)
         return view
 
+    def with_seconds(self, seconds: ArrayLike) -> LiveRoute:
+        """The same route with other declared costs (T,) of a run, in whatever unit."""
+        view = LiveRoute.__new__(LiveRoute)
+        view.__dict__.update(self.__dict__)
+        view.seconds = check_seconds(np.asarray(seconds), self.techniques)
+        return view
+
     def run(self, technique: int, image: Image, frame: int) -> tuple[NDArray[np.float32], float]:
         """Run a technique on an image.
 

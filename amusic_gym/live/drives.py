@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.live.limits import Keeper
 from amusic_gym.policies.protocol import Correction, Localiser, Policy, Rows, Selector, highest_z
 from amusic_gym.techniques.protocol import Image
 from amusic_gym.utils.states import Arrays, put_back, taken
@@ -35,6 +36,7 @@ class FrameResult:
         ran: (T,) bool, on the frame itself.
         late_runs: (T,) after-the-fact runs before it.
         selection: whether a selection was done before it.
+        compute_weight: λ that the policy chose with; None where it gives the places itself.
         run_milliseconds: (T,) wall time of the runs, after-the-fact ones included.
         read_milliseconds: wall time until the image was there: disk, decoder or camera.
         milliseconds: wall time of all the rest: the policy, the runs and the localisation.
@@ -51,6 +53,7 @@ class FrameResult:
     ran: NDArray[np.bool_]
     late_runs: NDArray[np.int64]
     selection: bool
+    compute_weight: float | None
     run_milliseconds: NDArray[np.float64]
     read_milliseconds: float
     milliseconds: float
@@ -94,11 +97,13 @@ def drive_along(
     carry: bool | None = None,
     discount: bool | None = None,
     compute_weight: float | None = None,
+    keeper: Keeper | None = None,
 ) -> Drive:
     """A drive that is about to take its first frame; see `amusic_gym.live.navigation.navigate`."""
     if isinstance(policy, Selector):
         how = Correction.under(policy, statistic, carry, discount)
-        return _SelectorDrive(policy, route, how, compute_weight)
+        weight = 1.0 if compute_weight is None else compute_weight
+        return _SelectorDrive(policy, route, how, weight, keeper)
     return _LocaliserDrive(policy, route)
 
 
@@ -106,17 +111,20 @@ class _SelectorDrive:
     """The policy chooses techniques, and a batch of one route does the rest."""
 
     def __init__(
-        self, policy: Selector, route: LiveRoute, how: Correction, compute_weight: float | None
+        self,
+        policy: Selector,
+        route: LiveRoute,
+        how: Correction,
+        compute_weight: float,
+        keeper: Keeper | None,
     ) -> None:
         from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
         needs = policy.needs
         self._policy = policy
         self._techniques = len(route.techniques)
-        self._options = {
-            "start": 0,
-            "compute_weight": 1.0 if compute_weight is None else compute_weight,
-        }
+        self._weight = compute_weight
+        self._keeper = keeper
         self._env = TechniqueSelectionVectorEnv(
             1,
             route,
@@ -130,7 +138,9 @@ class _SelectorDrive:
         self.begin()
 
     def begin(self) -> None:
-        self._observation, self._info = self._env.reset(options=self._options)
+        weight = self._weight if self._keeper is None else self._keeper.weight
+        options = {"start": 0, "compute_weight": weight}
+        self._observation, self._info = self._env.reset(options=options)
         self._policy.reset(np.ones(1, np.bool_))
         self._ended = False
 
@@ -140,15 +150,24 @@ class _SelectorDrive:
         drive = self._rows
         begin, last = time.perf_counter(), drive.frame
         action = self._policy.act(self._observation, self._info)
+        weight = float(self._info["compute_weight"][0])
         if everything:
             action = np.array(action, np.bool_)
             action[:, : self._techniques] = True
+        if self._keeper is not None:
+            chosen = np.asarray(action[0], np.bool_)
+            action = self._keeper.choose(chosen, self._observation)[None]
         self._observation, _, terminated, truncated, self._info = self._env.step(action)
         self._ended = bool(terminated[0] or truncated[0])
         if drive.frame == last:
             return None
         elapsed = 1000.0 * (time.perf_counter() - begin)
-        return _seen(drive, elapsed, **_told(self._info, self._techniques))
+        told = _told(self._info, self._techniques)
+        seen = _seen(drive, elapsed, compute_weight=weight, **told)
+        if self._keeper is not None:
+            self._keeper.note(seen)
+            self._env.task.episodes.set_compute_weight(0, self._keeper.weight)
+        return seen
 
     @property
     def _rows(self) -> LiveRows:
@@ -176,10 +195,11 @@ class _SelectorDrive:
             "rows": self._rows,
             "policy": self._policy,
             "room": episodes.room,
+            "keeper": self._keeper,
         }
 
 
-_KEPT = frozenset({"route", "batch", "_turn"})
+_KEPT = frozenset({"route", "batch", "_turn", "_policy"})
 """Attributes that are the new drive's own."""
 
 
@@ -241,6 +261,7 @@ class _LocaliserDrive:
             ran=ran,
             late_runs=np.zeros(techniques, np.int64),
             selection=False,
+            compute_weight=None,
         )
 
     def save(self, arrays: Arrays) -> Any:

@@ -16,6 +16,7 @@ from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.extraction.place_map import PlaceMap
 from amusic_gym.live.drives import FrameResult, drive_along
+from amusic_gym.live.limits import Limits
 from amusic_gym.policies.protocol import Context, Policy
 from amusic_gym.policies.registry import make_policy
 from amusic_gym.techniques.protocol import Image, Technique
@@ -105,6 +106,7 @@ class Localiser:
         compute_weight: float = COMPUTE_WEIGHT,
         statistic: str = SICSettings.statistic,
         seed: int = 0,
+        **limits: Any,
     ) -> None:
         self.map = place_map
         self.min_p = share("min_p", min_p)
@@ -113,17 +115,26 @@ class Localiser:
         for name in seconds or {}:
             if name not in given:
                 raise ValueError(suggest("technique", name, given))
+        known = list({**given, **(seconds or {})}.values())
+        within = Limits(**limits)
         route = LiveRoute(
             place_map.maps,
             self._source,
             tolerance=tolerance,
-            seconds=list({**given, **(seconds or {})}.values()),
+            seconds=within.costs(place_map.techniques, known),
             places=place_map.thumbnails,
             name=place_map.name,
         )
         if isinstance(policy, str):
+            within.check(policy)
             policy = make_policy(policy, Context.of(route, statistic=statistic, seed=seed))
-        self._drive = drive_along(policy, route, statistic=statistic, compute_weight=compute_weight)
+        measured = not given.keys() <= (seconds or {}).keys()
+        keeper = within.keeper(
+            policy, route.techniques, known, measured=measured, weight=compute_weight
+        )
+        self._drive = drive_along(
+            policy, route, statistic=statistic, compute_weight=compute_weight, keeper=keeper
+        )
         where = place_map.positions
         self._where: NDArray[np.float64] | None = None
         if where is not None:
@@ -133,7 +144,13 @@ class Localiser:
         self._about = {  # what a saved state must agree with
             "map": place_map.digest,
             "policy": f"{kind.__module__}.{kind.__qualname__}",
-            "settings": [statistic, tolerance, compute_weight, route.seconds.tolist()],
+            "settings": [
+                statistic,
+                tolerance,
+                compute_weight,
+                route.seconds.tolist(),
+                *limits.values(),
+            ],
         }
         self._begin()
 
@@ -160,7 +177,10 @@ class Localiser:
                 ``tolerance``: places that count as one when matches are compared; ``seconds``:
                 technique's name -> what a run costs here, in place of what it cost where the map
                 was made; ``compute_weight``: λ; ``statistic``, unless the policy needs its own;
-                ``seed`` of a policy that draws.
+                ``seed`` of a policy that draws; ``budget_ms``, ``budget_fps``, or
+                ``budget_joules`` with ``joules``, and ``cap_ms``: see
+                :class:`~amusic_gym.live.limits.Limits`. With ``seconds`` of all techniques frames
+                are charged with these, else with the wall time that they take.
 
         Raises:
             FileNotFoundError: as `PlaceMap.load`, or for a policy that is not there.

@@ -10,6 +10,7 @@ from typing import TextIO
 from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.live.drives import FrameResult, drive_along
+from amusic_gym.live.limits import Keeper
 from amusic_gym.policies.protocol import Policy
 from amusic_gym.policies.trace import CSV_COLUMNS, csv_line
 from amusic_gym.utils.escaping import CsvWriter
@@ -25,6 +26,7 @@ def navigate(
     carry: bool | None = None,
     discount: bool | None = None,
     compute_weight: float | None = None,
+    keeper: Keeper | None = None,
 ) -> Iterator[FrameResult]:
     """Run a policy along a live route, one frame at a time.
 
@@ -39,6 +41,7 @@ def navigate(
             as the statistic has it.
         discount: whether MuSIC discounts alike rows; as `carry`.
         compute_weight: λ; None for policies that have none.
+        keeper: holds the drive within limits, see `Limits.keeper`.
 
     Raises:
         ValueError: for what :class:`~amusic_gym.envs.task.Task` and the route refuse.
@@ -51,6 +54,7 @@ def navigate(
         carry=carry,
         discount=discount,
         compute_weight=compute_weight,
+        keeper=keeper,
     )
     while (seen := drive.step()) is not None:
         yield seen

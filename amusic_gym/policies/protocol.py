@@ -58,6 +58,17 @@ class Selector(Protocol):
         ...
 
 
+@runtime_checkable
+class Rater(Protocol):
+    """A selector that can rate every subset of techniques: under a limit, the next best counts."""
+
+    def rate(
+        self, observation: NDArray[np.float32]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.floating[Any]]]:
+        """Subsets (A, S) and, higher is better, their ratings (A,) for an observation (1, D)."""
+        ...
+
+
 Run = Callable[[int], NDArray[np.float32]]
 """Runs a technique on the current frame: index → score row (R,). Every first call is charged."""
 

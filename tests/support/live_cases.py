@@ -134,3 +134,39 @@ def pair(queries: int = 30, references: int = 20, **options: Any) -> tuple[Score
 def policy_on(spec: str, route: Any, seed: int = 3) -> Any:
     """The policy behind ``spec`` for a route."""
     return make_policy(spec, Context.of(route, statistic="evidence", seed=seed))
+
+
+class StoredMap:
+    """A technique's rows of a bank, looked up by the frame's number, which the image holds.
+
+    Args:
+        bank: the bank.
+        technique: its index.
+        clock: called with the technique's index by every run.
+    """
+
+    def __init__(
+        self, bank: ScoreBank, technique: int, clock: Any = lambda technique: None
+    ) -> None:
+        self.rows, self.index, self.clock = bank.scores[technique], technique, clock
+        self.technique = Columns(bank.techniques[technique], 1, 0)
+        self.references = bank.references
+
+    def describe_query(self, image: Image) -> Descriptor:
+        return image
+
+    def scores(self, query: Descriptor) -> NDArray[np.float32]:
+        self.clock(self.index)
+        return np.array(self.rows[int(query[0, 0, 0]) + 256 * int(query[0, 0, 1])])
+
+
+def numbered(frames: int) -> list[Image]:
+    """Images that hold their numbers, for :class:`StoredMap`."""
+    return [np.full((1, 1, 3), (n % 256, n // 256, 0), np.uint8) for n in range(frames)]
+
+
+def played(bank: ScoreBank, clock: Any = lambda technique: None) -> LiveRoute:
+    """A bank as a live route."""
+    maps = [StoredMap(bank, t, clock) for t in range(len(bank.techniques))]
+    options = {"seconds": bank.seconds, "tolerance": bank.tolerance, "name": bank.name}
+    return live_of(maps, Stream(numbered(bank.queries)), **options)
