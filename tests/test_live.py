@@ -12,8 +12,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import oracle
 import pytest
-from env_cases import assert_same, play, random_actions
+from env_cases import assert_same, infos_of, play, random_actions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_cases import (
@@ -250,7 +251,7 @@ def test_a_stream_ends_with_its_last_frame(knows):
     ("statistic", "longest", "shape"),
     [("evidence", "sums", (2, 1, 3, 20 + 512)), ("belief", "hubs", (2, 1, 3, 20))],
 )
-def test_the_memory_of_an_endless_route_is_bounded_but_for_what_ran(statistic, longest, shape):
+def test_the_memory_of_an_endless_route_is_bounded(statistic, longest, shape):
     images = traverse(40, 2)
 
     class Endless(Stream):
@@ -272,16 +273,56 @@ def test_the_memory_of_an_endless_route_is_bounded_but_for_what_ran(statistic, l
                 episodes.state.ran.shape,
             )
     assert sizes[1000] == ([(20 + 10 + 4, 20)] * 3, 6, shape, (1, 3, 1024))
-    assert sizes[2199] == (*sizes[1000][:3], (1, 3, 4096))
+    assert sizes[2199] == sizes[1000]
+    assert drive_of(env).entries.shape == (3, 64)
     assert env.task.describe(0).startswith("pair frame 2200: place")
 
 
-def test_a_long_stream_gives_what_the_bank_gives():
-    maps, images = maps_of(12), traverse(1100, 2)
-    actions = random_actions(2, 1099, (4,), reselect=0.01)
-    first = TechniqueSelectionEnv(bank_of(maps, images), reselection=5)
-    second = TechniqueSelectionEnv(live_of(maps, Stream(images)), reselection=5)
-    assert_same(play(second, actions), play(first, actions))
+@pytest.mark.parametrize(
+    ("places", "options", "idle"),
+    [
+        (12, {"reselection": 5, "statistic": "belief"}, 0.3),
+        (12, {"history": 7, "gamma": 0.9, "statistic": "mean", "allow_idle": True}, 0.8),
+        (12, {"history": 3, "reselection": 2, "allow_idle": True}, 0.97),
+        pytest.param(600, {"reselection": 5}, 0.0, marks=pytest.mark.slow),
+    ],
+)
+def test_a_long_stream_gives_what_the_bank_gives(places, options, idle):
+    """Memory of 1,024 frames is used again twice or, of a long map, doubled first."""
+    frames = 2200
+    maps, images = maps_of(places), traverse(40, 2) * (frames // 40)
+    size = len(maps) + ("reselection" in options)
+    actions = random_actions(2, frames - 1, (size,), reselect=0.01)
+    actions[:, : len(maps)] &= np.random.default_rng(0).random((frames - 1, len(maps))) >= idle
+    actions[700:2000, 1] = 0  # nothing is forgotten too late of what was last seen so long ago
+    first = TechniqueSelectionEnv(bank_of(maps, images), **options)
+    second = TechniqueSelectionEnv(live_of(maps, Stream(images)), **options)
+    wanted = play(first, actions)
+    assert_same(play(second, actions), wanted)
+    if "reselection" not in options and places == 12:  # a drive begins anew after a long one
+        begun = second.reset(seed=0)
+        assert_same(begun, first.reset(seed=0))
+        assert_same(second.step(actions[0]), first.step(actions[0]))
+
+
+def test_a_long_stream_gives_what_explicit_loops_give():
+    settings = {"candidates": 9, "history": 8, "statistic": "mean"}
+    maps, images = maps_of(20), traverse(50, 2) * 44
+    actions = random_actions(3, len(images) - 1, (3,))
+    actions[1100:1500, 0] = 0
+    env = TechniqueSelectionEnv(
+        live_of(maps, Stream(images)), carry=False, discount=False, **settings
+    )
+    infos = infos_of(env, actions)
+    scores = bank_of(maps, images).scores
+    ran = np.array([info["ran"] for info in infos])
+    for frame in (5, 1020, 1023, 1024, 1025, 1030, 1300, 1535, 1536, 1537, 1600, 2047, 2048, 2195):
+        begin = max(0, frame - 60)  # further back is off the map
+        part = [scores[:, begin : frame + 1], ran[begin : frame + 1], frame - begin]
+        found = oracle.music(*part, settings["candidates"], settings["history"], statistic="mean")
+        assert infos[frame]["prediction"] == found.place
+        assert infos[frame]["technique"] == found.technique
+        assert infos[frame]["confidence"] == pytest.approx(found.confidence, abs=1e-9)
 
 
 def test_a_route_of_unknown_length_starts_at_its_beginning():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import gc
+import tracemalloc
 from dataclasses import fields
 from functools import cache
 from itertools import islice
@@ -244,3 +246,29 @@ def test_the_csv_is_whole_after_ctrl_c_and_needs_no_truth(tmp_path):
     assert [line[head.index("frame")] for line in lines] == ["0", "1", "2", "3"]
     assert {line[head.index("correct")] for line in lines} == {""}
     writer.close()
+
+
+# ---- for hours ---------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("spec", ["amusic", "subset:HOG+CALC"])
+def test_a_drive_of_20000_frames_keeps_nothing_after_the_first_5000(spec):
+    images = traverse(40, 2)
+
+    class Endless(Stream):
+        def read(self, frame):
+            return images[frame % 40]
+
+    route = live_of(maps_of(20), Endless(images))
+    drive = navigate(policy_on(spec, route), route)
+    for _ in range(5_000):
+        next(drive)
+    tracemalloc.start()
+    try:
+        for _ in range(15_000):
+            next(drive)
+        gc.collect()
+        assert tracemalloc.get_traced_memory()[0] < 0.25e6
+    finally:
+        tracemalloc.stop()

@@ -145,11 +145,29 @@ class Episodes:
             self.room = room
             self._allocate()
 
+    def _remember_more(self) -> None:
+        """Make room for frames: let the oldest half go if nothing comes back to it, or double.
+
+        Nothing comes back further than a row is on the map; of several routes all frames are kept.
+        """
+        room = self.room["frames"]
+        if self.num_routes > 1 or room < 2 * (self.room["references"] + self.block + 1):
+            self._make_room(1, 2 * room)
+            return
+        for table in (self.state, self.estimator.state):
+            table.let_go(room // 2)
+        self.estimator.link(self.state)
+        self._link()
+
     # --- episodes -------------------------------------------------------------------------------
 
     def begin(self, i: int, route: Route) -> None:
         """Start ``route`` as number ``i`` of the batch; nothing has run on it yet."""
         bank = route.bank
+        if self.state.gone:  # the batch's only route
+            self.state.gone = self.estimator.state.gone = 0
+            self.estimator.link(self.state)
+            self._link()
         self._make_room(bank.references, ROOM if route.frames == ENDLESS else route.frames)
         self.drives[i] = (
             None
@@ -314,16 +332,16 @@ class Episodes:
                 record["frames"] = frame
             elif drive.frames is not None:
                 record["frames"] = drive.frames
-            if frame >= self.state.ran.shape[-1]:
-                self._make_room(1, 2 * self.state.ran.shape[-1])
+            if frame - self.state.gone >= self.room["frames"]:
+                self._remember_more()
         self._broken |= self.state.active
         return self._live()
 
     def _missed(self, i: int) -> list[tuple[int, int]]:
         """(slot, frame) of what did not run on the last M frames; a selection looks at it."""
         frame, present = self.state.routes[i]["frame"] + 1, self.state.slots[i]["present"]
-        first = max(0, frame - self.block)
-        missed = ~self.state.ran[i, :, first:frame] & present[:, None]
+        first, gone = max(0, frame - self.block), self.state.gone
+        missed = ~self.state.ran[i, :, first - gone : frame - gone] & present[:, None]
         return [(int(s), int(first + past)) for s, past in np.argwhere(missed)]
 
     def _compute(self, i: int, wanted: list[tuple[int, int]]) -> None:

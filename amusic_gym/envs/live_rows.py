@@ -53,7 +53,9 @@ class LiveRows:
             RowBuffer.empty(min(ROOM, self.most), route.references, settings.candidates)
             for _ in range(count)
         ]
-        self.entries: NDArray[np.int64] = np.full((count, ROOM), -1)  # (T, frames)
+        self.reach = route.references + block + 1  # frames that anything comes back to
+        self.gone = 0  # frames whose entries were let go
+        self.entries: NDArray[np.int64] = np.full((count, ROOM), -1)  # (T, frames since)
         self.counts = [0] * count  # rows computed so far
         self.milliseconds: NDArray[np.float64] = np.zeros(count)
         self.late_milliseconds: NDArray[np.float64] = np.zeros(count)
@@ -111,10 +113,20 @@ class LiveRows:
         self.read_milliseconds = 1000.0 * (time.perf_counter() - begin)
         self.milliseconds[:] = 0.0
         self.late_milliseconds[:] = 0.0
-        if frame >= self.entries.shape[1]:
-            self.entries = np.pad(self.entries, ((0, 0), (0, frame)), constant_values=-1)
-            self.moved = True
+        if frame - self.gone >= self.entries.shape[1]:
+            self._remember_more()
         return True
+
+    def _remember_more(self) -> None:
+        """Make room for entries: let the oldest half go if nothing comes back to it, or double."""
+        room = self.entries.shape[1]
+        if room >= 2 * self.reach:
+            self.entries[:, : room - room // 2] = self.entries[:, room // 2 :]
+            self.entries[:, room - room // 2 :] = -1
+            self.gone += room // 2
+        else:
+            self.entries = np.pad(self.entries, ((0, 0), (0, room)), constant_values=-1)
+        self.moved = True
 
     def image(self, frame: int | None = None) -> Image:
         """Image of one of the last M + 1 frames; None: of the running one."""
@@ -126,7 +138,7 @@ class LiveRows:
         Raises:
             ValueError: see :meth:`LiveRoute.run`.
         """
-        entry = int(self.entries[technique, frame])
+        entry = int(self.entries[technique, frame - self.gone])
         if entry < 0:
             row, seconds = self.route.run(technique, self.image(frame), self.start + frame)
             late = frame < self.frame
@@ -134,7 +146,7 @@ class LiveRows:
             times[technique] += 1000.0 * seconds
             entry = self._room(technique)
             self.buffers[technique].put(entry, row)
-            self.entries[technique, frame] = entry
+            self.entries[technique, frame - self.gone] = entry
         stored: NDArray[np.float32] = self.buffers[technique].rows[entry]
         return stored
 
@@ -153,7 +165,8 @@ class LiveRows:
         for s, technique in enumerate(columns):
             if technique >= 0:
                 self.buffers[technique].point(runs[s])
-                runs["entries"][s] = self.entries[technique].ctypes.data
+                first = self.entries[technique].ctypes.data
+                runs["entries"][s] = first - self.gone * self.entries.itemsize
         self.moved = False
 
     def __getstate__(self) -> dict[str, Any]:

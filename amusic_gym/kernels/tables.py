@@ -37,6 +37,9 @@ WORD = 8
 ROUTES = "routes"
 """Name of the size that counts the routes of a batch."""
 
+PER_FRAME = ("frames", "counts", "prefix", "replayed")
+"""Names of sizes, of last dimensions only, that count the frames of a route."""
+
 
 class Record:
     """Fields of one entry of a structured array: ``int``, ``float`` or ``bool``, or (dtype, size).
@@ -106,7 +109,9 @@ class Layout(types.Type):
                 assert value.flags.c_contiguous
                 assert value.ndim == kind.ndim
                 assert numpy_support.from_dtype(value.dtype) == kind.dtype
-                entries = [value.ctypes.data, *value.shape, *value.strides]
+                gone = isinstance(values, Table) and values.is_per_frame(field) and values.gone
+                first = value.ctypes.data - gone * value.itemsize
+                entries = [first, *value.shape, *value.strides]
                 words[start : start + len(entries)] = entries
             elif kind is types.float64:
                 words[start : start + 1].view(np.float64)[0] = value
@@ -131,6 +136,11 @@ class Table:
     Args:
         sizes: name of a size → number; of every size that an array has.
         given: the numbers and inner tables, and arrays that are not to be allocated as zeros.
+
+    Attributes:
+        sizes: as given.
+        gone: frames whose entries were let go. Kernels count frames from the first all the same:
+            they get an address so far before the arrays, and must not ask for what is gone.
     """
 
     layout: ClassVar[Layout]
@@ -152,6 +162,7 @@ class Table:
 
     def __init__(self, sizes: Mapping[str, int], **given: Any) -> None:
         self.sizes = dict(sizes)
+        self.gone = 0
         for name, column in self.columns.items():
             if name not in given:
                 setattr(self, name, np.zeros([sizes[size] for size in column.sizes], column.dtype))
@@ -161,11 +172,24 @@ class Table:
     def grown(self, sizes: Mapping[str, int], **given: Any) -> Self:
         """The same with more room; what is kept is copied into the corner of the new arrays."""
         twin = type(self)(sizes, **{**self._others(), **given})
+        twin.gone = self.gone
         for name, column in self.columns.items():
             old = getattr(self, name)
             if column.kept:
                 getattr(twin, name)[tuple(slice(0, size) for size in old.shape)] = old
         return twin
+
+    def is_per_frame(self, name: str) -> bool:
+        """Whether an array has an entry per frame."""
+        return self.columns[name].sizes[-1] in PER_FRAME
+
+    def let_go(self, frames: int) -> None:
+        """Make room for as many frames as are let go, the oldest; the addresses change."""
+        self.gone += frames
+        for name in filter(self.is_per_frame, self.columns):
+            array = getattr(self, name)
+            array[..., :-frames] = array[..., frames:]
+            array[..., -frames:] = 0
 
     def repeated(self, copies: int, **given: Any) -> Self:
         """The same for ``copies`` times as many routes: each stands so often in a row."""

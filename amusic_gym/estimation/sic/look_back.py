@@ -53,8 +53,11 @@ def moved_on(place: int) -> int:
 
 @apart
 def match_before(state: SICState, i: int, s: int, first: int) -> int:
-    """A technique's last match before frame ``first``, moved on to the frame before it; or −1."""
-    for past in range(first - 1, -1, -1):
+    """A technique's last match before frame ``first``, moved on to the frame before it; or −1.
+
+    One from as many frames ago as there are places has left the map, and is not looked for.
+    """
+    for past in range(first - 1, max(first - 1 - state.batch.routes[i].references, -1), -1):
         if state.batch.ran[i, s, past]:
             place: int = state.places[i, s, past] + (first - 1 - past)
             return place

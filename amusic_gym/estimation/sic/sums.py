@@ -136,8 +136,9 @@ def push(
         add_row(sums, base, run, frame, decay)
     while mark.expired < frame - history:
         age = frame - mark.expired
-        # A row that came and went within one gap was never added, or has left the map.
-        if ran[mark.expired] and mark.expired <= mark.last and age < run.references:
+        # A row that came and went within one gap was never added, or has left the map; whether
+        # there is one is remembered for no longer.
+        if age < run.references and ran[mark.expired] and mark.expired <= mark.last:
             if mark.depth == 0:
                 remove_row(sums, base, run, mark.expired, age, gamma**age)
             else:
