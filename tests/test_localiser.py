@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import warnings
 from collections import deque
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from amusic_gym.envs.frames import ImageStream, as_frames
 from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.extraction.place_map import PlaceMap, build_map
 from amusic_gym.extraction.thumbnails import Thumbnails
+from amusic_gym.live import drives
 from amusic_gym.live.localiser import Localiser
 from amusic_gym.live.navigation import navigate
 from amusic_gym.policies.protocol import Context, Needs
@@ -257,15 +259,67 @@ def test_what_is_no_image_is_refused_and_changes_nothing(town, image):
         assert told(one.update(each)) == told(other.update(each))
 
 
-def test_after_an_image_that_a_technique_refuses_it_begins_anew(town):
+def test_after_an_image_that_all_techniques_refuse_it_begins_anew(town):
     localiser = Localiser(town, "music")
     localiser.update(drive()[0])
-    with pytest.raises(ValueError, match="technique 'HOG'"):
-        localiser.update(np.zeros((2, 7, 3), np.uint8))
+    refused = np.zeros((2, 7, 3), np.uint8)
+    with (
+        pytest.warns(UserWarning, match="is left out"),
+        pytest.raises(ValueError, match="technique 'CoHOG'"),
+    ):
+        localiser.update(refused)
     with pytest.raises(ValueError, match="an error cut the last step short"):
         localiser.update(drive()[1])
     localiser.relocalise()
     assert localiser.update(drive()[1]).frame == 1
+
+
+class Failing(Columns):
+    """Raises on some of its runs."""
+
+    failing: range = range(0)
+    runs = 0
+
+    def describe_query(self, image):
+        self.runs += 1
+        if self.runs - 1 in self.failing:
+            raise OSError("the accelerator is gone")
+        return self.describe(image)
+
+
+@pytest.mark.parametrize("spec", ["music", "subset:CALC+CoHOG", "ppo", "voi", "hmm", "amusic"])
+def test_a_technique_that_raises_is_left_out_for_a_while_and_told_of_once(town, spec, monkeypatch):
+    monkeypatch.setattr(drives, "RETRY", 10)
+    failing = Failing(NAMES[1], 2, 1)
+    failing.failing = range(20, 22)  # and then is well again
+    maps = (town.maps[0], map_of(traverse(PLACES, seed=1), failing), town.maps[2])
+    localiser = Localiser(replace(town, maps=maps), spec)
+    with warnings.catch_warnings(record=True) as told_of:
+        warnings.simplefilter("always")
+        found = [localiser.update(image) for image in drive()]
+    lines = [str(each.message) for each in told_of]
+    if failing.runs > 20:
+        assert len(lines) == 1
+        assert lines[0].startswith("technique 'CALC' is left out, and tried again every 10 frames")
+        assert "the accelerator is gone" in lines[0]
+    assert found[-1].place == 59
+    if spec == "music":
+        with_it = [each.frame for each in found if "CALC" in each.active]
+        assert with_it == [*range(20), *range(40, FRAMES)]
+        assert failing.runs == 20 + 2 + 20
+
+
+def test_a_policy_of_one_technique_that_raises_gets_the_cheapest_other(town, monkeypatch):
+    monkeypatch.setattr(drives, "RETRY", 10)
+    failing = Failing(NAMES[1], 2, 1)
+    failing.failing = range(5, 99)
+    maps = (town.maps[0], map_of(traverse(PLACES, seed=1), failing), town.maps[2])
+    localiser = Localiser(replace(town, maps=maps), "subset:CALC")
+    with pytest.warns(UserWarning, match="technique 'CALC' is left out"):
+        found = [localiser.update(image) for image in drive()[:30]]
+    assert [each.active for each in found[:7]] == [("CALC",)] * 5 + [(), ("HOG",)]
+    assert [each.frame for each in found if not each.active] == [5, 15, 25]
+    assert found[-1].place == 29
 
 
 def test_options_out_of_range_are_refused(town):

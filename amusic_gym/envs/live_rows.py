@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +41,12 @@ class LiveRows:
         milliseconds: (T,) wall time of each technique's run on the running frame.
         late_milliseconds: (T,) of its after-the-fact runs before that frame.
         read_milliseconds: wall time until the running frame's image was there.
+        retry: frames for which a technique that raises is left out, with rows that say nothing,
+            as long as others are left; 0: its error ends the step.
+        out_until: (T,) frame from which each technique is tried.
     """
+
+    retry = 0
 
     def __init__(self, route: LiveRoute, start: int, settings: SICSettings, block: int) -> None:
         count = len(route.techniques)
@@ -60,6 +66,8 @@ class LiveRows:
         self.milliseconds: NDArray[np.float64] = np.zeros(count)
         self.late_milliseconds: NDArray[np.float64] = np.zeros(count)
         self.read_milliseconds = 0.0
+        self.out_until: NDArray[np.int64] = np.zeros(count, np.int64)
+        self._told: list[int] = []  # techniques whose errors were told
         self.moved = True
         self._images: deque[Image] = deque(maxlen=block + 1)
         self._take_source()
@@ -140,7 +148,7 @@ class LiveRows:
         """
         entry = int(self.entries[technique, frame - self.gone])
         if entry < 0:
-            row, seconds = self.route.run(technique, self.image(frame), self.start + frame)
+            row, seconds = self._run(technique, frame)
             late = frame < self.frame
             times = self.late_milliseconds if late else self.milliseconds
             times[technique] += 1000.0 * seconds
@@ -149,6 +157,31 @@ class LiveRows:
             self.entries[technique, frame - self.gone] = entry
         stored: NDArray[np.float32] = self.buffers[technique].rows[entry]
         return stored
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """(T,) techniques that are not left out on the running frame."""
+        usable: NDArray[np.bool_] = self.out_until <= self.frame
+        return usable
+
+    def _run(self, technique: int, frame: int) -> tuple[NDArray[np.float32], float]:
+        """A technique's row and seconds; a constant row where it raises, or is left out."""
+        if self.usable[technique]:
+            try:
+                return self.route.run(technique, self.image(frame), self.start + frame)
+            except Exception as error:
+                if not self.retry or self.usable.sum() == 1:
+                    raise
+                self.out_until[technique] = self.frame + self.retry
+                if technique not in self._told:
+                    self._told.append(technique)
+                    name = self.route.techniques[technique]
+                    warnings.warn(
+                        f"technique {name!r} is left out, and tried again every {self.retry}"
+                        f" frames: {error!r}",
+                        stacklevel=2,
+                    )
+        return np.zeros(self.route.references, np.float32), 0.0
 
     def _room(self, technique: int) -> int:
         """The next entry of a technique's ring, which grows until it holds what is needed."""

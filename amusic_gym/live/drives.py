@@ -33,7 +33,7 @@ class FrameResult:
             of a localiser, the largest in the rows it asked for; 0 where nothing ran.
         p_correct: SIC-estimated correctness; None where the policy gives none.
         technique: the one that MuSIC trusted, -1: none.
-        ran: (T,) bool, on the frame itself.
+        ran: (T,) bool, on the frame itself; not those that raised or are left out for it.
         late_runs: (T,) after-the-fact runs before it.
         selection: whether a selection was done before it.
         compute_weight: λ that the policy chose with; None where it gives the places itself.
@@ -63,6 +63,10 @@ class FrameResult:
     def active(self) -> tuple[str, ...]:
         """Names of the techniques that ran on the frame."""
         return tuple(n for n, on in zip(self.techniques, self.ran, strict=True) if on)
+
+
+RETRY = 100
+"""Frames for which a technique that raised is left out."""
 
 
 class Drive(Protocol):
@@ -142,6 +146,7 @@ class _SelectorDrive:
         options = {"start": 0, "compute_weight": weight}
         self._observation, self._info = self._env.reset(options=options)
         self._policy.reset(np.ones(1, np.bool_))
+        self._rows.retry = RETRY
         self._ended = False
 
     def step(self, *, everything: bool = False) -> FrameResult | None:
@@ -151,12 +156,12 @@ class _SelectorDrive:
         begin, last = time.perf_counter(), drive.frame
         action = self._policy.act(self._observation, self._info)
         weight = float(self._info["compute_weight"][0])
+        action = np.array(action, np.bool_)
         if everything:
-            action = np.array(action, np.bool_)
             action[:, : self._techniques] = True
         if self._keeper is not None:
-            chosen = np.asarray(action[0], np.bool_)
-            action = self._keeper.choose(chosen, self._observation)[None]
+            action[0] = self._keeper.choose(action[0], self._observation)
+        self._leave_out(action[0, : self._techniques])
         self._observation, _, terminated, truncated, self._info = self._env.step(action)
         self._ended = bool(terminated[0] or truncated[0])
         if drive.frame == last:
@@ -168,6 +173,14 @@ class _SelectorDrive:
             self._keeper.note(seen)
             self._env.task.episodes.set_compute_weight(0, self._keeper.weight)
         return seen
+
+    def _leave_out(self, wanted: NDArray[np.bool_]) -> None:
+        """Take techniques that raised lately out of the action; the cheapest other if all did."""
+        usable = self._rows.out_until <= self._rows.frame + 1
+        if wanted.any() and not (wanted & usable).any():
+            seconds = self._rows.route.seconds
+            wanted[int(np.where(usable, seconds, np.inf).argmin())] = True
+        wanted &= usable
 
     @property
     def _rows(self) -> LiveRows:
@@ -228,6 +241,7 @@ class _LocaliserDrive:
 
     def begin(self) -> None:
         self._rows = self._route.drive(0, SICSettings(), 0)
+        self._rows.retry = RETRY
         self._policy.reset(self._route.references, len(self._route.techniques))
         self._frame = 0
 
@@ -275,6 +289,7 @@ class _LocaliserDrive:
 
 def _seen(drive: LiveRows, elapsed: float, **told: Any) -> FrameResult:
     """A frame with what the drive knows of it; ``elapsed`` milliseconds in all."""
+    told["ran"] = told["ran"] & drive.usable
     return FrameResult(
         frame=drive.frame,
         image=drive.image(),
