@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
 from amusic_gym.envs.live_route import LiveRoute
+from amusic_gym.live.answers import Answers
+from amusic_gym.live.answers import line as as_json
 from amusic_gym.live.navigation import FrameResult
+from amusic_gym.live.rerun import Recording
+from amusic_gym.live.server import AnswerServer
 
 DOUBT, SETTLED = 0.5, 20
 """p̂ of a doubtful frame, and frames after which many of them are worth a word."""
@@ -22,11 +29,13 @@ class Journal:
 
     Args:
         route: the route that is driven.
+        answers: what is known.
         quiet: print the summary only.
     """
 
-    def __init__(self, route: LiveRoute, *, quiet: bool = False) -> None:
+    def __init__(self, route: LiveRoute, answers: Answers, *, quiet: bool = False) -> None:
         """Nothing is printed yet."""
+        self.answers = answers
         self.route = route
         self.quiet = quiet
         self.frames = self.right = self.doubtful = 0
@@ -34,8 +43,8 @@ class Journal:
         self.runs = np.zeros(len(route.techniques), np.int64)
         self.run_milliseconds = np.zeros(len(route.techniques))
 
-    def write(self, result: FrameResult) -> None:
-        """Count a frame and print its line."""
+    def write(self, result: FrameResult) -> bool | None:
+        """Count a frame and print its line; whether its place is right, where that is known."""
         if not self.frames and not self.quiet:
             print(HEADER if self.route.truth is None else f"{HEADER}  (!: wrong place)")
         self.frames += 1
@@ -49,7 +58,8 @@ class Journal:
             right = bool(self.route.truth.correct([result.prediction], [result.frame])[0])
             self.right += right
         if not self.quiet:
-            print(line(result, right), flush=True)
+            print(line(result, right, self.answers.known(result)), flush=True)
+        return right
 
     def __enter__(self) -> Journal:
         return self
@@ -82,13 +92,61 @@ class Journal:
         return lines
 
 
-def line(result: FrameResult, right: bool | None) -> str:
-    """One frame; a wrong place is marked where the truth is known."""
+class Publisher(ExitStack):
+    """Gives every frame's answer to other programs: lines of JSON, HTTP, and Rerun.
+
+    Args:
+        lines: where lines of JSON go; None: nowhere.
+        port: of HTTP on ``host``; None: none.
+        host: its address.
+        rerun: a file of Rerun, or ``"connect"``; None: none.
+
+    Raises:
+        ValueError: for a port that cannot be had, or Rerun where it is not installed.
+    """
+
+    def __init__(
+        self,
+        *,
+        lines: TextIO | None = None,
+        port: int | None = None,
+        host: str = "127.0.0.1",
+        rerun: str | None = None,
+    ) -> None:
+        super().__init__()
+        self._lines = lines
+        self._server: AnswerServer | None = None
+        self._recording: Recording | None = None
+        if port is not None:
+            try:
+                self._server = self.enter_context(AnswerServer(port, host))
+            except (OSError, OverflowError) as error:
+                raise ValueError(
+                    f"--http {port} on --host {host}: {error}; give another port or address"
+                ) from None
+            print(f"answers at {self._server.url}", file=sys.stderr)
+        if rerun is not None:
+            self._recording = self.enter_context(Recording(rerun))
+
+    def write(self, result: FrameResult, answers: Answers, right: bool | None) -> None:
+        """Publish a frame, of which ``answers`` makes what is told."""
+        answer = answers.of(result, right)
+        if self._lines is not None:
+            print(as_json(answer), file=self._lines, flush=True)
+        if self._server is not None:
+            self._server.put(answer)
+        if self._recording is not None:
+            self._recording.write(result, answer)
+
+
+def line(result: FrameResult, right: bool | None, known: bool | None = None) -> str:
+    """One frame; a wrong place is marked where the truth is known, an unknown one is no number."""
     p = "-" if result.p_correct is None else f"{result.p_correct:.2f}"
     words = " + ".join(result.active) or "nothing"
     if result.selection:
         words += f"  (selection, {result.late_runs.sum()} late runs)"
     place = str(result.prediction) if result.prediction >= 0 else "-"
+    place = "unknown" if known is False else place
     mark = "!" if right is False else " "
     return (
         f"{result.frame:>6} {place:>6}{mark}{result.confidence:>10.2f} {p:>5}"

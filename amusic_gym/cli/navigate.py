@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, redirect_stdout
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -28,7 +28,7 @@ from amusic_gym.cli.described import (
     techniques_for,
     truth_of,
 )
-from amusic_gym.cli.drive import Journal, check_outputs
+from amusic_gym.cli.drive import Journal, Publisher, check_outputs
 from amusic_gym.cli.images import run_of
 from amusic_gym.cli.options import MANY
 from amusic_gym.cli.parser import (
@@ -47,6 +47,7 @@ from amusic_gym.envs.task import RENDER_FPS
 from amusic_gym.envs.window import Window
 from amusic_gym.evaluation.contestants import Contestant, check_weights, contestants
 from amusic_gym.evaluation.plots.labels import policy_label
+from amusic_gym.live.answers import Answers
 from amusic_gym.live.limits import Keeper, Limits
 from amusic_gym.live.localiser import COMPUTE_WEIGHT, TOLERANCE
 from amusic_gym.live.navigation import FrameResult, TraceWriter, navigate
@@ -55,7 +56,7 @@ from amusic_gym.routes import image_truth
 from amusic_gym.routes.positions import Positions
 from amusic_gym.routes.video import Camera, VideoFile, VideoWriter
 from amusic_gym.techniques import Image
-from amusic_gym.utils.checks import whole
+from amusic_gym.utils.checks import share, whole
 
 LIMITS = ("budget_ms", "budget_fps", "budget_joules", "cap_ms")
 
@@ -99,6 +100,16 @@ def add_arguments(parser: Parser) -> None:
     add("--trace", type=destination, metavar="FILE.csv", help="write a line per frame")
     add("--video", type=destination, metavar="FILE.mp4|.avi", help="write a picture per frame")
     add("--show", action="store_true", help="show it in a window, until that is closed")
+    least = "estimated correctness below which a place is unknown (default: none is)"
+    add("--min-p", type=float, metavar="P", help=least)
+    lines = "jsonl: a line of JSON per frame on stdout, all words on stderr (default: %(default)s)"
+    add("--output", choices=("text", "jsonl"), default="text", help=lines)
+    served = "serve /last (JSON), /events (server-sent) and a page at /; 0 takes a free port"
+    add("--http", type=int, metavar="PORT", help=served)
+    whose = "address that --http listens on; 0.0.0.0 lets all read (default: %(default)s)"
+    add("--host", default="127.0.0.1", metavar="ADDRESS", help=whose)
+    rerun = "record for Rerun's viewer, or show it in one that runs"
+    add("--rerun", metavar="FILE.rrd|connect", help=rerun)
     add("--frames", type=int, metavar="N", help="stop after so many")
     add("--quiet", action="store_true", help="print the summary only")
 
@@ -110,6 +121,12 @@ def main(args: argparse.Namespace) -> None:
     (policy,) = contestants([args.policy], compute_weights=weights, **insisted(args))
     _check(args)
     with ExitStack() as stack:
+        lines = None
+        if args.output == "jsonl":
+            lines = sys.stdout
+            stack.enter_context(redirect_stdout(sys.stderr))
+        publisher = Publisher(lines=lines, port=args.http, host=args.host, rerun=args.rerun)
+        stack.enter_context(publisher)
         if args.map is None:
             techniques, seconds = techniques_for(args)
             names = [one.name for one in techniques]
@@ -139,9 +156,10 @@ def main(args: argparse.Namespace) -> None:
         pictures = Pictures(route, f"{route.name}, {policy_label(args.policy)}")
         trace = stack.enter_context(TraceWriter(args.trace, route)) if args.trace else None
         drive = _drive(policy, route, correction, args.seed, keep)
-        journal = stack.enter_context(Journal(route, quiet=args.quiet))
+        answers = _answers(described, args.min_p)
+        journal = stack.enter_context(Journal(route, answers, quiet=args.quiet or bool(lines)))
         for result in islice(drive, args.frames):
-            journal.write(result)
+            publisher.write(result, answers, journal.write(result))
             if trace:
                 trace.write(result)
             picture = pictures.draw(result) if video or window else None
@@ -158,10 +176,13 @@ def _check(args: argparse.Namespace) -> None:
     if args.frames is not None:
         args.frames = min(whole("--frames", args.frames, 1), sys.maxsize)
     whole("--seed", args.seed, 0)
+    if args.min_p is not None:
+        share("--min-p", args.min_p)
     if args.tolerance is not None:
         check_tolerance(args.tolerance)
     inputs = {"--query": args.query, "--ground-truth": args.ground_truth}
-    check_outputs({"--trace": args.trace, "--video": args.video}, inputs)
+    rerun = None if args.rerun in (None, "connect") else Path(args.rerun)
+    check_outputs({"--trace": args.trace, "--video": args.video, "--rerun": rerun}, inputs)
 
 
 def _limits(args: argparse.Namespace, names: Sequence[str]) -> Limits:
@@ -249,6 +270,12 @@ def _warm_up(
     )
     for _ in _drive(policy, short, correction, seed=0):
         pass
+
+
+def _answers(described: Described, min_p: float | None) -> Answers:
+    """What is told of a frame."""
+    images = described.images if described.file is None else described.file
+    return Answers(getattr(images, "names", None), described.positions, min_p)
 
 
 def _drive(
