@@ -1,8 +1,9 @@
 """Recognise places live: run a policy on a folder of images, a video or a camera.
 
 Only what the policy activates is computed. POLICY: those of compare but the oracle. A query that is
-a number is a camera. Techniques and policy run once on images of the map before the drive, so that
-compiling and loading are not in the first frame's time.
+a number is a camera, and one that begins with http:// or rtsp:// a camera on the network.
+Techniques and policy run once on images of the map before the drive, so that compiling and loading
+are not in the first frame's time.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ from amusic_gym.live.localiser import COMPUTE_WEIGHT, TOLERANCE
 from amusic_gym.live.navigation import FrameResult, TraceWriter, navigate
 from amusic_gym.policies.protocol import Context, Policy
 from amusic_gym.routes import image_truth
+from amusic_gym.routes.network_camera import NetworkCamera
 from amusic_gym.routes.positions import Positions
 from amusic_gym.routes.video import Camera, VideoFile, VideoWriter
 from amusic_gym.techniques import Image
@@ -214,9 +216,10 @@ def _window() -> Window:
 def _frames(args: argparse.Namespace, stack: ExitStack) -> tuple[FrameSource, Positions | None]:
     """The folder, video or camera of the command line, and where a folder's images were taken."""
     query, thinned = args.query, args.every is not None or args.fps is not None
+    is_url = "://" in query and not Path(query).exists()
     if args.every is not None and args.fps is not None:
         raise ValueError("--every and --fps both thin a video; give one of the two")
-    is_camera = query.lstrip("-").isdecimal() and not Path(query).exists()
+    is_camera = is_url or (query.lstrip("-").isdecimal() and not Path(query).exists())
     filmed = args.reference is not None and args.reference.is_file()
     if thinned and not filmed and (is_camera or Path(query).is_dir()):
         raise ValueError(f"--every and --fps thin a video, but --query {query} is none")
@@ -230,7 +233,7 @@ def _frames(args: argparse.Namespace, stack: ExitStack) -> tuple[FrameSource, Po
             option = name.replace("_", "-")
             raise ValueError(f"--{option} needs a folder of images, but --query is {query}")
     if is_camera:
-        return Camera(int(query)), None
+        return NetworkCamera(query) if is_url else Camera(int(query)), None
     every = 1 if args.every is None else whole("--every", args.every, 1)
     return VideoFile(query, every=every, fps=args.fps), None
 

@@ -150,7 +150,7 @@ class VideoFile:
             if self._is_due(number, at):
                 found, image = self._capture.retrieve()
                 if found:
-                    return _colour(image), number, at
+                    return as_colour(image), number, at
                 self._lost += 1
         return None
 
@@ -247,7 +247,7 @@ class Camera:
                     warnings.warn(
                         f"{self.name} gave no picture {tries} times and then went on", stacklevel=2
                     )
-                return _colour(image)
+                return as_colour(image)
             time.sleep(_PAUSE)
         return None
 
@@ -260,18 +260,18 @@ def _opened(what: str | int) -> Any:
     """OpenCV's capture of a file or a camera."""
     import cv2
 
-    with _Quiet():
+    with Quiet():
         return cv2.VideoCapture(what)
 
 
-def _colour(image: Any) -> Image:
+def as_colour(image: Any) -> Image:
     """A picture of a capture, (H, W, 3) uint8 BGR."""
     if image.ndim == 2:
         image = np.repeat(image[..., None], 3, axis=2)
     return np.ascontiguousarray(image, np.uint8)
 
 
-class _Quiet:
+class Quiet:
     """Keeps OpenCV from writing its own lines on stderr: the refusal says what is wrong."""
 
     def __enter__(self) -> None:
@@ -341,7 +341,7 @@ class VideoWriter:
         unfinished = storage.unfinished(folder, self.path.suffix.lower())
         self._temporary = self._file.enter_context(unfinished)
         code = cv2.VideoWriter.fourcc(*CODECS[self.path.suffix.lower()])
-        with _Quiet():
+        with Quiet():
             writer = cv2.VideoWriter(os.fspath(self._temporary), code, self.fps, size)
         if not writer.isOpened():
             self._file.close()
