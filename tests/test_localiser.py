@@ -157,6 +157,24 @@ def test_a_saved_state_continues_bit_for_bit(town, tmp_path, spec, cut):
     assert [each.name for each in tmp_path.iterdir()] == ["state"]
 
 
+@pytest.mark.parametrize("spec", ["music", "amusic"])
+def test_a_state_from_far_on_continues_bit_for_bit(town, tmp_path, spec):
+    images = drive() * 20
+    localiser = Localiser(town, spec)
+    for image in images[:1100]:  # more frames than are remembered
+        localiser.update(image)
+    path = localiser.save_state(tmp_path / "state")
+    wanted = [told(localiser.update(image)) for image in images[1100:]]
+    other = Localiser(town, spec)
+    other.load_state(path)
+    assert [told(other.update(image)) for image in images[1100:]] == wanted
+    other.reset()
+    fresh = Localiser(town, spec)
+    assert [told(other.update(each)) for each in images[:30]] == [
+        told(fresh.update(each)) for each in images[:30]
+    ]
+
+
 def test_frames_stamps_and_a_relocalisation_are_saved_too(town, tmp_path):
     localiser = Localiser(town, "subset:HOG")
     localiser.update(drive()[0], stamp=4.0)

@@ -156,8 +156,7 @@ class Episodes:
             return
         for table in (self.state, self.estimator.state):
             table.let_go(room // 2)
-        self.estimator.link(self.state)
-        self._link()
+        self.link()
 
     # --- episodes -------------------------------------------------------------------------------
 
@@ -166,8 +165,7 @@ class Episodes:
         bank = route.bank
         if self.state.gone:  # the batch's only route
             self.state.gone = self.estimator.state.gone = 0
-            self.estimator.link(self.state)
-            self._link()
+            self.link()
         self._make_room(bank.references, ROOM if route.frames == ENDLESS else route.frames)
         self.drives[i] = (
             None
