@@ -285,6 +285,8 @@ def test_the_memory_of_an_endless_route_is_bounded(statistic, longest, shape):
         (12, {"history": 7, "gamma": 0.9, "statistic": "mean", "allow_idle": True}, 0.8),
         (12, {"history": 3, "reselection": 2, "allow_idle": True}, 0.97),
         pytest.param(600, {"reselection": 5}, 0.0, marks=pytest.mark.slow),
+        # Rows are taken out of the sums, and looked for, as long after as they are on the map.
+        pytest.param(700, {"history": 5, "allow_idle": True}, 0.995, marks=pytest.mark.slow),
     ],
 )
 def test_a_long_stream_gives_what_the_bank_gives(places, options, idle):
