@@ -296,7 +296,8 @@ def test_a_long_stream_gives_what_the_bank_gives(places, options, idle):
     size = len(maps) + ("reselection" in options)
     actions = random_actions(2, frames - 1, (size,), reselect=0.01)
     actions[:, : len(maps)] &= np.random.default_rng(0).random((frames - 1, len(maps))) >= idle
-    actions[700:2000, 1] = 0  # nothing is forgotten too late of what was last seen so long ago
+    actions[501:1100, 1] = actions[1102:2000, 1] = 0
+    actions[[500, 1101], 1] = 1  # a row that leaves the sums, or the map, long after it came
     first = TechniqueSelectionEnv(bank_of(maps, images), **options)
     second = TechniqueSelectionEnv(live_of(maps, Stream(images)), **options)
     wanted = play(first, actions)
