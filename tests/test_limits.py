@@ -69,6 +69,23 @@ def test_the_average_is_held_to_a_budget_of_measured_costs(monkeypatch, limits):
     assert off_budget([each.milliseconds for each in seen], 60.0) < 0.1
 
 
+def test_a_frame_that_waits_for_a_compiler_does_not_starve_the_rest(monkeypatch):
+    bank = simulate(2, queries=330, techniques=3)
+    clock = Clock(monkeypatch, [20.0, 5.0, 90.0])
+    clock.milliseconds = [20.0, 30_000.0, 90.0]
+    policy = Rating()  # wants all, on every frame
+    route = played(bank, clock.ran)
+    how = {"measured": True, "weight": 0.3}
+    keeper = Limits(budget_ms=60.0).keeper(policy, route.techniques, [0.02, 0.005, 0.09], **how)
+    seen = []
+    for each in navigate(policy, route, compute_weight=0.3, keeper=keeper):
+        clock.milliseconds = [20.0, 5.0, 90.0]
+        seen.append(each)
+    assert seen[0].milliseconds > 30_000
+    assert any(each.ran[2] for each in seen[1:60])
+    assert off_budget([each.milliseconds for each in seen[1:]], 60.0) < 0.1
+
+
 def test_a_budget_in_joules_counts_joules():
     bank = simulate(2, queries=450, techniques=3)
     joules = dict(zip(bank.techniques, (3.0, 0.5, 8.0), strict=True))

@@ -33,6 +33,9 @@ GAIN = 0.05
 MEMORY = 9
 """Runs of which the median is what a technique is taken to cost, where costs are measured."""
 
+WORST = 2.0
+"""Times what all techniques are expected to cost that a frame is charged with at most."""
+
 Flags = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
@@ -268,6 +271,8 @@ class Keeper:
         if self.budget is None:
             return
         spent = spent if self.charged is self.clock else self.charged.note(seen)
+        most = WORST * float(self.charged.of(np.ones_like(seen.ran)))
+        spent = min(spent, most)  # else a compiler's seconds would starve all that follows
         self._spent.append(spent)
         low, high = COMPUTE_WEIGHT_RANGE
         step = math.exp(GAIN * ((spent + self._refused) / self.budget - 1.0))
