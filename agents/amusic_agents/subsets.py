@@ -130,9 +130,19 @@ class SubsetSelector(NetworkSelector):
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
         """The members of the best subset, (N, S)."""
+        subsets, ratings = self._rated(observation)
+        return subsets[ratings.argmax(1)].numpy()
+
+    def rate(self, observation: NDArray[np.float32]) -> tuple[NDArray[np.bool_], NDArray[Any]]:
+        """See `amusic_gym.policies.protocol.Rater`."""
+        subsets, ratings = self._rated(observation)
+        return subsets.numpy(), ratings[0].numpy()
+
+    def _rated(self, observation: NDArray[np.float32]) -> tuple[torch.Tensor, torch.Tensor]:
+        """Subsets (A, S) and their ratings (N, A), −∞ for those that cannot run."""
         seen = torch.from_numpy(observation)
         present = presence(seen)
         with torch.inference_mode():
             allowed = valid(present, self.needs.allow_idle)
             ratings = self.network(seen).masked_fill(~allowed, -torch.inf)
-        return members(present.shape[1])[ratings.argmax(1)].numpy()
+        return members(present.shape[1]), ratings
