@@ -98,6 +98,26 @@ def test_a_result_says_where_and_how_sure(town):
     assert (raw.p_correct, raw.known) == (None, None)
 
 
+@pytest.mark.parametrize(
+    ("policy", "statistic", "message"),
+    [
+        ("ppo", "belief", "statistic is 'belief', but the policy needs 'evidence'"),
+        ("amusic", "evidence", "statistic is 'evidence', but the policy needs 'mean'"),
+        ("music", "nonsense", "unknown statistic 'nonsense'"),
+    ],
+)
+def test_38_a_statistic_that_the_policy_does_not_take_is_refused(town, policy, statistic, message):
+    with pytest.raises(ValueError, match=message):
+        Localiser(town, policy, statistic=statistic)
+    assert Localiser(town, "music", statistic="belief").update(drive()[0]).p_correct is not None
+
+
+def test_a_result_is_shown_without_the_image(town):
+    result = Localiser(town, "music").update(drive()[0])
+    assert "array" not in repr(result)
+    assert "p_correct=" in repr(result)
+
+
 def test_before_a_place_there_is_none(town):
     class Idle:
         needs = Needs(allow_idle=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -44,7 +44,7 @@ class FrameResult:
     """
 
     frame: int
-    image: Image
+    image: Image = field(repr=False)
     prediction: int
     confidence: float
     similarity: float

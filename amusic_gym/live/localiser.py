@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
@@ -17,7 +17,7 @@ from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.extraction.place_map import PlaceMap
 from amusic_gym.live.drives import FrameResult, drive_along
 from amusic_gym.live.limits import Limits
-from amusic_gym.policies.protocol import Context, Policy
+from amusic_gym.policies.protocol import Context, Policy, Selector
 from amusic_gym.policies.registry import make_policy
 from amusic_gym.techniques.protocol import Image, Technique
 from amusic_gym.utils.checks import number, share
@@ -63,7 +63,7 @@ class Localisation:
     milliseconds: float
     stamp: float | None
     frame: int
-    seen: FrameResult
+    seen: FrameResult = field(repr=False)
 
 
 class Pushed:
@@ -104,7 +104,7 @@ class Localiser:
         tolerance: int = TOLERANCE,
         seconds: Mapping[str, float] | None = None,
         compute_weight: float = COMPUTE_WEIGHT,
-        statistic: str = SICSettings.statistic,
+        statistic: str | None = None,
         seed: int = 0,
         **limits: Any,
     ) -> None:
@@ -125,15 +125,22 @@ class Localiser:
             places=place_map.thumbnails,
             name=place_map.name,
         )
+        chosen = SICSettings(statistic or SICSettings.statistic).statistic
         if isinstance(policy, str):
             within.check(policy)
-            policy = make_policy(policy, Context.of(route, statistic=statistic, seed=seed))
+            policy = make_policy(policy, Context.of(route, statistic=chosen, seed=seed))
+        own = policy.needs.statistic if isinstance(policy, Selector) else None
+        if statistic is not None and own not in (None, statistic):
+            raise ValueError(
+                f"statistic is {statistic!r}, but the policy needs {own!r} and takes no other;"
+                " leave the statistic out, or take another policy"
+            )
         measured = not given.keys() <= (seconds or {}).keys()
         keeper = within.keeper(
             policy, route.techniques, known, measured=measured, weight=compute_weight
         )
         self._drive = drive_along(
-            policy, route, statistic=statistic, compute_weight=compute_weight, keeper=keeper
+            policy, route, statistic=chosen, compute_weight=compute_weight, keeper=keeper
         )
         where = place_map.positions
         self._where: NDArray[np.float64] | None = None
@@ -145,7 +152,7 @@ class Localiser:
             "map": place_map.digest,
             "policy": f"{kind.__module__}.{kind.__qualname__}",
             "settings": [
-                statistic,
+                chosen,
                 tolerance,
                 compute_weight,
                 route.seconds.tolist(),
@@ -176,7 +183,7 @@ class Localiser:
             options: ``min_p``: estimated correctness from which a place counts as known;
                 ``tolerance``: places that count as one when matches are compared; ``seconds``:
                 technique's name -> what a run costs here, in place of what it cost where the map
-                was made; ``compute_weight``: λ; ``statistic``, unless the policy needs its own;
+                was made; ``compute_weight``: λ; ``statistic``, of policies that bring none;
                 ``seed`` of a policy that draws; ``budget_ms``, ``budget_fps``, or
                 ``budget_joules`` with ``joules``, and ``cap_ms``: see
                 :class:`~amusic_gym.live.limits.Limits`. With ``seconds`` of all techniques frames
