@@ -195,13 +195,13 @@ def is_masked(run: Run, frame: int, place: int) -> bool:
 
 
 @inner
-def worse(scores: Any, a: int, b: int) -> bool:
+def worse(scores: NDArray[np.float32], a: int, b: int) -> bool:
     """Whether place ``a`` ranks behind place ``b``: lower score, or equal and of higher index."""
     return scores[a] < scores[b] or (scores[a] == scores[b] and a > b)
 
 
 @apart
-def sift(scores: Any, heap: Any, root: int, size: int) -> None:
+def sift(scores: NDArray[np.float32], heap: NDArray[np.int64], root: int, size: int) -> None:
     """Restore a heap of places whose root is the worst."""
     while True:
         child = 2 * root + 1
@@ -216,7 +216,7 @@ def sift(scores: Any, heap: Any, root: int, size: int) -> None:
 
 
 @compiled
-def rank_candidates(scores: Any, top: Any) -> None:
+def rank_candidates(scores: NDArray[np.float32], top: NDArray[np.int64]) -> None:
     """Fill ``top`` (K,) with the best places of ``scores`` (R,), ranked, ties to the lower."""
     size = top.size
     for i in range(size):

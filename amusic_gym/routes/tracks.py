@@ -18,6 +18,8 @@ from amusic_gym.routes.positions import Positions
 GAP = 1.0
 """Seconds that an image may be taken before or after the nearest position in time."""
 
+Floats = NDArray[np.float64]
+
 _NAMED = 3  # images that a refusal names before it only counts
 _UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # clock times above these: nano, micro, milli
 
@@ -146,7 +148,7 @@ def in_seconds(stamps: ArrayLike) -> NDArray[np.float64]:
     return values * next((unit for least, unit in _UNITS if largest > least), 1.0)
 
 
-def heading_of(x: Any, y: Any, z: Any, w: Any) -> NDArray[np.float64]:
+def heading_of(x: Floats, y: Floats, z: Floats, w: Floats) -> Floats:
     """(N,) degrees clockwise, seen from above, of orientations as quaternions; z points up."""
     return np.asarray(-np.degrees(np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))))
 

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import math
 import numbers
-from typing import Any
 
 
-def whole(name: str, value: Any, least: int, otherwise: str = "", most: int | None = None) -> int:
+def whole(
+    name: str, value: object, least: int, otherwise: str = "", most: int | None = None
+) -> int:
     """A whole number, Python's or NumPy's; ``otherwise`` says what else may be given.
 
     Raises:
         ValueError: for anything else, or one below ``least`` or above ``most``.
     """
     good = isinstance(value, numbers.Integral) and not isinstance(value, bool)
-    if not good or value < least or (most is not None and value > most):
+    number = int(value) if good else 0  # type: ignore[call-overload]
+    if not good or number < least or (most is not None and number > most):
         range_ = f">= {least}" if most is None else f"from {least} to {most}"
         raise ValueError(f"{name} is {value!r}; give a whole number {range_}{otherwise}")
-    return int(value)
+    return number
 
 
-def number(name: str, value: Any, wanted: str) -> float:
+def number(name: str, value: object, wanted: str) -> float:
     """A finite number; ``wanted`` says what to give instead.
 
     Raises:
@@ -31,18 +33,19 @@ def number(name: str, value: Any, wanted: str) -> float:
     return float(value)
 
 
-def share(name: str, value: Any) -> float:
+def share(name: str, value: object) -> float:
     """A number from 0 to 1.
 
     Raises:
         ValueError: for anything else.
     """
-    if not 0.0 <= number(name, value, "a number in [0, 1]") <= 1.0:
+    found = number(name, value, "a number in [0, 1]")
+    if not 0.0 <= found <= 1.0:
         raise ValueError(f"{name} is {value!r}; give a number in [0, 1]")
-    return float(value)
+    return found
 
 
-def flag(name: str, value: Any) -> bool:
+def flag(name: str, value: object) -> bool:
     """True or False.
 
     Raises:
