@@ -109,6 +109,7 @@ class Localiser:
         **limits: Any,
     ) -> None:
         self.map = place_map
+        self._closed = False
         self.min_p = share("min_p", min_p)
         self._source = Pushed()
         given = dict(zip(place_map.techniques, place_map.seconds.tolist(), strict=True))
@@ -151,13 +152,11 @@ class Localiser:
         self._about = {  # what a saved state must agree with
             "map": place_map.digest,
             "policy": f"{kind.__module__}.{kind.__qualname__}",
-            "settings": [
-                chosen,
-                tolerance,
-                compute_weight,
-                route.seconds.tolist(),
-                *limits.values(),
-            ],
+            "statistic": chosen,
+            "tolerance": tolerance,
+            "compute_weight": compute_weight,
+            "seconds": route.seconds.tolist(),
+            **limits,
         }
         self._begin()
 
@@ -209,9 +208,12 @@ class Localiser:
             stamp: seconds, rising from image to image; it is handed on.
 
         Raises:
-            ValueError: for what is no image, a stamp that does not rise, or an image that a
-                technique cannot take; after the last, :meth:`reset` or :meth:`relocalise`.
+            ValueError: of a closed localiser; for what is no image, a stamp that does not rise, or
+                an image that a technique cannot take; after that, :meth:`reset` or
+                :meth:`relocalise`.
         """
+        if self._closed:
+            raise ValueError("the localiser is closed; load it anew")
         if stamp is not None and number("stamp", stamp, "seconds") <= self._last:
             raise ValueError(
                 f"stamp is {stamp}, not after {self._last}; give images in their order"
@@ -283,8 +285,9 @@ class Localiser:
                 then begins anew.
         """
         tree, arrays = read_state(Path(path))
-        for name, here in self._about.items():
-            if (there := tree["about"].get(name)) != here:
+        about = tree["about"]
+        for name in {**self._about, **about}:
+            if (there := about.get(name)) != (here := self._about.get(name)):
                 raise ValueError(
                     f"{os.fspath(path)} was saved with {name} {there}, here it is {here}; load the"
                     " same map with the same policy and options, or begin anew"
@@ -301,7 +304,8 @@ class Localiser:
         self._count, self._last, self._everything = own["count"], own["last"], own["everything"]
 
     def close(self) -> None:
-        """End the threads that match."""
+        """End the threads that match; nothing can be recognised from now on."""
+        self._closed = True
         self.map.close()
 
     def __enter__(self) -> Self:
