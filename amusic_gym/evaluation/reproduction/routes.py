@@ -23,12 +23,12 @@ class Route:
 
     Attributes:
         name: of the data set.
-        bank: its scores; None where its folders are not there.
+        found: its images and what is true; None where its folders are not there.
         remarks: what differs from the paper, or what is missing.
     """
 
     name: str
-    bank: ScoreBank | None
+    found: LoadedDataset | None
     remarks: tuple[str, ...]
 
 
@@ -58,35 +58,38 @@ def load(name: str, root: str | os.PathLike[str]) -> tuple[LoadedDataset, tuple[
     return found, tuple(remarks)
 
 
-def make_route(
-    name: str,
-    root: str | os.PathLike[str],
-    out: Path,
-    *,
-    techniques: Sequence[str],
-    weights: Mapping[str, str],
-    cache: str | os.PathLike[str] | None = None,
-    executor: str = "serial",
-) -> Route:
-    """A data set's scores, extracted to ``out`` / its name; missing folders become a remark.
-
-    Args:
-        name: of `DATASETS`.
-        root: the folder that holds the data sets' folders.
-        out: where the banks are.
-        techniques: as `make_technique` takes them.
-        weights: technique → file of weights, for those that are not to be the ones that ship.
-        cache: see `extract`.
-        executor: see `extract`.
+def find(name: str, root: str | os.PathLike[str]) -> Route:
+    """A data set, or why it is not there.
 
     Raises:
         ValueError: for folders that do not match.
     """
     try:
-        found, remarks = load(name, root)
+        return Route(name, *load(name, root))
     except FileNotFoundError as error:
         return Route(name, None, (str(error),))
-    bank = extract(
+
+
+def extracted(
+    found: LoadedDataset,
+    out: Path,
+    *,
+    techniques: Sequence[str],
+    weights: Mapping[str, str],
+    cache: str | os.PathLike[str] | None,
+    executor: str,
+) -> ScoreBank:
+    """A data set's scores, extracted to ``out`` / its name; see `extract`.
+
+    Args:
+        found: the data set.
+        out: where the banks are.
+        techniques: as `make_technique` takes them.
+        weights: technique → file of weights, for those that are not to be the ones that ship.
+        cache: see `extract`.
+        executor: see `extract`.
+    """
+    return extract(
         found.reference,
         found.query,
         [make_technique(each, weights.get(each)) for each in techniques],
@@ -94,8 +97,7 @@ def make_route(
         ground_truth=found.ground_truth,
         cache=cache,
         executor=executor,
-        out=out / name,
-        name=name,
+        out=out / found.name,
+        name=found.name,
         progress=True,
     )
-    return Route(name, bank, remarks)

@@ -6,13 +6,16 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from amusic_gym.evaluation.comparison import compare
 from amusic_gym.evaluation.contestants import contestants
-from amusic_gym.evaluation.report import write_report
+from amusic_gym.evaluation.report import ReportFigure, write_report
 from amusic_gym.evaluation.reproduction import figures, sweeps, tables
 from amusic_gym.evaluation.reproduction.paper import METHODS, TECHNIQUES, TITLES
-from amusic_gym.evaluation.reproduction.routes import make_route
+from amusic_gym.evaluation.reproduction.routes import extracted, find
+from amusic_gym.evaluation.tables import Table
+from amusic_gym.policies.trace import Trace
 from amusic_gym.utils.storage import write_whole
 
 SHIPS = ("calc", "netvlad")
@@ -48,17 +51,18 @@ def reproduce(
         ValueError: for folders that do not match.
     """
     weights = dict(weights or {})
-    names = [name.lower() for name in TECHNIQUES]
-    how = {"techniques": names, "weights": weights, "cache": cache, "executor": executor}
-    routes = [make_route(name, root, out / "banks", **how) for name in datasets]  # type: ignore[arg-type]
-    for route in routes:
-        report(f"{TITLES[route.name]}: {'; '.join(route.remarks) or 'as in the paper'}")
-    banks = [route.bank for route in routes if route.bank is not None]
-    if not banks:
-        raise FileNotFoundError(f"none of the data sets is there: {routes[0].remarks[0]}")
     ships = [f"weights of {name} that ship" for name in SHIPS if name not in weights]
     remarks: dict[str, Sequence[str]] = dict.fromkeys(TITLES, ("not asked for",))
-    remarks |= {r.name: (*r.remarks, *(ships if r.bank is not None else [])) for r in routes}
+    routes = [find(name, root) for name in datasets]
+    for route in routes:  # before hours of work
+        remarks[route.name] = (*route.remarks, *(ships if route.found is not None else []))
+        report(f"{TITLES[route.name]}: {'; '.join(remarks[route.name]) or 'as in the paper'}")
+    there = [route.found for route in routes if route.found is not None]
+    if not there:
+        raise FileNotFoundError(f"none of the data sets is there: {routes[0].remarks[0]}")
+    names = [name.lower() for name in TECHNIQUES]
+    how: dict[str, Any] = {"weights": weights, "cache": cache, "executor": executor}
+    banks = [extracted(found, out / "banks", techniques=names, **how) for found in there]
 
     paper = compare(
         banks, lambda _: contestants([*METHODS.values()]), out, statistic="mean", report=report
@@ -79,6 +83,34 @@ def reproduce(
     numbers = {"table2": cells, "table3": adapted, "ablation": ablated, "sweep": swept.mean}
     write_whole(out / "reproduction.json", json.dumps(numbers, indent=1).encode() + b"\n")
 
+    shown = _write_tables(cells, adapted, remarks, out, report)
+    return write_report(
+        out / "index.html",
+        title="The paper's experiments, run again",
+        sentences=[
+            f"Ours on {', '.join(TITLES[bank.name] for bank in banks)}, beside what the paper says."
+        ],
+        rows=[*paper.mean, *paper.rows],
+        figures=_draw(ablated, cells, paper.traces, swept.mean, out),
+        traces=paper.traces,
+        images=paper.images,
+        highlights=[
+            (f"A-MuSIC on {TITLES[trace.bank]}", trace)
+            for trace in paper.traces
+            if trace.policy == METHODS["A-MuSIC"]
+        ],
+        tables=shown,
+    )
+
+
+def _write_tables(
+    cells: tables.Cells,
+    adapted: Mapping[str, Mapping[str, float]],
+    remarks: Mapping[str, Sequence[str]],
+    out: Path,
+    report: Callable[[str], None],
+) -> list[Table]:
+    """Tables II and III and the remarks: reported, and written as Markdown, CSV and LaTeX."""
     made = {
         "table2": tables.table_two(cells),
         "table2-milliseconds": tables.table_times(cells),
@@ -92,7 +124,18 @@ def reproduce(
     report(f"\n{shown[-1].text()}")
     text = "\n\n".join(table.markdown() for table in shown)
     write_whole(out / "tables.md", text.encode() + b"\n")
-    drawn = [
+    return shown
+
+
+def _draw(
+    ablated: figures.Rows,
+    cells: tables.Cells,
+    traces: Sequence[Trace],
+    swept: figures.Rows,
+    out: Path,
+) -> list[ReportFigure]:
+    """Figures 3 to 7 and the sweep of E and M."""
+    return [
         figures.both(
             lambda path: figures.ablation(ablated, path),
             out / "figure3.png",
@@ -103,26 +146,10 @@ def reproduce(
             out / "figure4.png",
             "Figure 4: accuracy of the techniques, pale alone and full with SIC.",
         ),
-        *figures.drives(paper.traces, out),
+        *figures.drives(traces, out),
         figures.both(
-            lambda path: figures.sweep(swept.mean, path),
+            lambda path: figures.sweep(swept, path),
             out / "sweep.png",
             "A-MuSIC with other E and M than the paper's .7 and 10; the mean over data sets.",
         ),
     ]
-    there = ", ".join(TITLES[bank.name] for bank in banks)
-    return write_report(
-        out / "index.html",
-        title="The paper's experiments, run again",
-        sentences=[f"Ours on {there}, beside what the paper says."],
-        rows=[*paper.mean, *paper.rows],
-        figures=drawn,
-        traces=paper.traces,
-        images=paper.images,
-        highlights=[
-            (f"A-MuSIC on {TITLES[trace.bank]}", trace)
-            for trace in paper.traces
-            if trace.policy == METHODS["A-MuSIC"]
-        ],
-        tables=shown,
-    )
