@@ -390,21 +390,6 @@ def test_37_a_killed_process_gives_the_same_bytes(folder, serial, tmp_path):
     kill_one_worker(folder, serial, tmp_path, "process:2")
 
 
-@pytest.fixture
-def two_ray_workers():
-    ray = pytest.importorskip("ray")
-    ray.init(
-        address="local",
-        num_cpus=2,
-        include_dashboard=False,
-        log_to_driver=False,
-        logging_level="ERROR",
-        object_store_memory=80_000_000,
-    )
-    yield
-    ray.shutdown()
-
-
 @pytest.mark.usefixtures("two_ray_workers")
 def test_37_a_killed_ray_worker_gives_the_same_bytes(folder, serial, tmp_path):
     kill_one_worker(folder, serial, tmp_path, "ray")

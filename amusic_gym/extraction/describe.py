@@ -16,7 +16,7 @@ from amusic_gym.extraction.blocks import Images, Stored, check_shape
 from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.code import describes_queries_alike, identity, key_of
 from amusic_gym.extraction.progress import Progress
-from amusic_gym.extraction.shards import Advance, DescribeShard, MatchShard, S, Workers
+from amusic_gym.extraction.shards import Advance, DescribeShard, MatchShard, Workers
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.images import check_image, digest_of, lost_levels, read_bytes
 from amusic_gym.techniques.protocol import Technique
@@ -192,7 +192,7 @@ def score_rows(plan: ExtractionPlan, cache: Cache) -> Iterator[NDArray[np.float3
 
 
 def _compute(
-    shards: Iterable[S], cache: Cache, workers: Workers, advance: Advance
+    shards: Iterable[DescribeShard | MatchShard], cache: Cache, workers: Workers, advance: Advance
 ) -> Iterator[tuple[str, Stored]]:
     for shard, result in workers.run(shards, advance):
         yield shard.key, cache.put(shard.key, result)

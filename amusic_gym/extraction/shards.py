@@ -1,11 +1,11 @@
-"""Shards, the pieces of work of an extraction, and what runs them."""
+"""Shards, pieces of work of an extraction, a study or a search, and what runs them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, Self, TypeAlias, TypeVar
+from typing import Any, Protocol, Self, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,22 +34,25 @@ def nothing(done: int) -> None:
     """Progress callback that does nothing."""
 
 
+class Held(Protocol):
+    """What workers hold for all shards: a technique, the banks of a study; it pickles."""
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+
+
 class Shard(Protocol):
     """A piece of work: the same result in any process, in any order.
 
     Attributes:
-        key: of the result in the cache.
         size: amount of work, for the progress bar.
     """
 
     @property
-    def key(self) -> str: ...  # noqa: D102
-
-    @property
     def size(self) -> int: ...  # noqa: D102
 
-    def run(self, technique: Technique, advance: Advance = nothing) -> NDArray[np.float32]:
-        """The result; ``advance`` is called with all of ``size``, bit by bit."""
+    def run(self, held: Any, advance: Advance = nothing, /) -> Any:
+        """The result, which pickles; ``advance`` is called with all of ``size``, bit by bit."""
         ...
 
 
@@ -70,11 +73,9 @@ class _Context:
 
 
 class Workers(_Context):
-    """Workers that hold one technique."""
+    """Workers that hold one thing."""
 
-    def run(
-        self, shards: Iterable[S], advance: Advance = nothing
-    ) -> Iterator[tuple[S, NDArray[np.float32]]]:
+    def run(self, shards: Iterable[S], advance: Advance = nothing) -> Iterator[tuple[S, Any]]:
         """Run all ``shards``, taken as workers become free; yield each with its result, unordered.
 
         ``advance`` is called image by image in this process, elsewhere shard by shard. An error
@@ -90,8 +91,8 @@ class Workers(_Context):
 class Executor(_Context):
     """A place to run shards."""
 
-    def workers(self, technique: Technique) -> Workers:
-        """Workers for the shards of one technique."""
+    def workers(self, held: Held) -> Workers:
+        """Workers for the shards of one technique, study or search."""
         raise NotImplementedError
 
 
