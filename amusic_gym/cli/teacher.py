@@ -72,6 +72,7 @@ def make_teacher(
     resume: bool = False,
     routes: int = ROUTES,
     grid: Sequence[Parameters] = GRID,
+    progress: bool = True,
 ) -> ByWeight:
     """The teacher of a run: chosen, and written to its ``teacher.json``.
 
@@ -81,6 +82,7 @@ def make_teacher(
         resume: take the teacher of the file, if there is one.
         routes: simulated routes to choose on.
         grid: what is tried.
+        progress: whether to show a progress bar.
 
     Raises:
         ValueError: for a damaged ``teacher.json``.
@@ -92,7 +94,8 @@ def make_teacher(
     else:
         _, middles = partition((low, high), PARTS if low < high else 1)
         how: dict[str, Any] = {"statistic": config.statistic, "environment": config.environment()}
-        choices = choose_cascades(teacher_routes(config, routes), middles, grid=grid, **how)
+        drawn = teacher_routes(config, routes)
+        choices = choose_cascades(drawn, middles, grid=grid, progress=progress, **how)
         rows = [
             {**choice._asdict(), "parameters": choice.parameters._asdict()} for choice in choices
         ]

@@ -64,7 +64,8 @@ def learn(
         if not resume:  # choosing the teacher takes a while
             refuse_used(out)
         folder = out if config.algorithm == "imitation" else out / IMITATION
-        teacher = make_teacher(folder, config, resume=resume)
+        shown = options.get("progress", True)
+        teacher = make_teacher(folder, config, resume=resume, progress=shown)
     train(out, config, banks=banks, teacher=teacher, resume=resume, **options)
 
 
