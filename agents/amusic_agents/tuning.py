@@ -239,7 +239,7 @@ def tune(
         KeyboardInterrupt: when stopped; the study goes on with the trial that was stopped.
     """
     out = Path(out)
-    about = None
+    about: dict[str, Any] | None = None
     if config is not None:
         space = SPACES[config.algorithm] if space is None else space
         check_space(space, config)
