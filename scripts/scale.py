@@ -13,7 +13,6 @@ one_thread()
 
 import argparse  # noqa: E402
 import sys  # noqa: E402
-import warnings  # noqa: E402
 from collections.abc import Callable, Iterator, Sequence  # noqa: E402
 from functools import partial  # noqa: E402
 from itertools import chain  # noqa: E402
@@ -26,20 +25,17 @@ from _scale_shortlist import (  # noqa: E402
     BEST,
     COMPETENCES,
     FILLS,
-    accuracy,
+    driven,
     load_faiss,
     rendered,
     search,
-    shortened,
 )
 from amusic_agents.evaluation import held_out_routes  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-from amusic_gym.banks.bank import ScoreBank  # noqa: E402
 from amusic_gym.envs.sources import ordinary  # noqa: E402
 from amusic_gym.evaluation import store  # noqa: E402
 from amusic_gym.evaluation.tables import Table  # noqa: E402
-from amusic_gym.utils.imports import digest_of  # noqa: E402
 from amusic_gym.utils.storage import write_whole  # noqa: E402
 
 STATISTICS = ("evidence", "belief")
@@ -51,7 +47,7 @@ class Sizes(NamedTuple):
     places: tuple[int, ...] = (1_000, 10_000, 100_000, 1_000_000)
     techniques: tuple[int, ...] = (1, 2, 4, 8, 16)
     routes: tuple[int, ...] = (1, 16, 64, 256)
-    frames: tuple[int, ...] = (1_000, 10_000, 100_000)
+    frames: tuple[int, ...] = (1_000, 4_000, 16_000)
     usual: int = 1_000  # places, where something else grows
     drive: int = 24  # frames, where they do not grow
     rounds: int = 5
@@ -79,9 +75,8 @@ class Measured:
 
     def __init__(self, out: Path, total: int) -> None:
         self._folder = out / "cells"
-        here = Path(__file__)
-        own = digest_of(here, *sorted(here.parent.glob("_scale_*.py")))
-        self._code = [own, store.code_digest(here)]
+        parts = sorted(Path(__file__).parent.glob("_scale_*.py"))
+        self._code = [store.code_digest(part) for part in parts]
         self._bar = tqdm(total=total, unit="row", disable=not sys.stderr.isatty())
 
     def row(self, name: str, measure: Callable[[], Any]) -> Any:
@@ -93,6 +88,12 @@ class Measured:
             store.save(self._folder, stem, body)
         self._bar.update()
         return body["found"]
+
+
+def figure(number: float) -> str:
+    """Three digits of a number, without an exponent above one."""
+    rounded = float(f"{number:.3g}")
+    return f"{rounded:,.0f}" if rounded >= 100 else f"{rounded:g}"
 
 
 def growth(sizes: Sizes, measured: Measured) -> Iterator[Table]:
@@ -111,9 +112,9 @@ def growth(sizes: Sizes, measured: Measured) -> Iterator[Table]:
                 measured.row(f"{each} {shape(number)}", partial(drive, each, *shape(number)))
                 for each in STATISTICS
             ]
-            kept = [f"{row['mib']:.3g}" for row in both]
-            times = [f"{row['ms']:.3g}" for row in both]
-            rows.append([f"{number:,}", *times, *kept, f"{both[0]['bank_mib']:,.3g}"])
+            kept = [figure(row["mib"]) for row in both]
+            times = [figure(row["ms"]) for row in both]
+            rows.append([f"{number:,}", *times, *kept, figure(both[0]["bank_mib"])])
         given = dict(
             zip(("places", "techniques", "routes", "frames"), shape(numbers[0]), strict=True)
         )
@@ -141,15 +142,15 @@ def matching(sizes: Sizes, measured: Measured) -> Iterator[Table]:
                     places,
                     measured.row(f"{name} {places}", partial(match, name, places, sizes.rounds)),
                 )
-                cells.append(f"{largest[1]['ms']:.3g}")
+                cells.append(figure(largest[1]["ms"]))
             else:
-                cells.append(f"{largest[1]['ms'] * places / largest[0]:,.3g} †")
+                cells.append(f"{figure(largest[1]['ms'] * places / largest[0])} †")
         assert largest is not None
         bare = largest[1].get("product_ms")
         share = "" if bare is None else f"{bare / largest[1]['ms']:.2f}"
         size = descriptor_bytes(name, 1) // 4
         memory = descriptor_bytes(name, sizes.places[-1]) / GIB
-        rows.append([name, f"{size:,}", *cells, share, f"{memory:.3g}"])
+        rows.append([name, f"{size:,}", *cells, share, figure(memory)])
     heads = [
         *("technique", "numbers", *(f"ms, {places:,} places" for places in sizes.places)),
         *("share of it in a bare product", f"GiB, {sizes.places[-1]:,} places"),
@@ -166,7 +167,7 @@ def index(sizes: Sizes, measured: Measured) -> Iterator[Table]:
     rows = [
         [
             row["by"] if row["lists"] is None else f"{row['lists']} of {sizes.lists:,} lists",
-            *(f"{row['ms']:.3g}", f"{row['mib']:,.0f}"),
+            *(figure(row["ms"]), figure(row["mib"])),
             *(f"{row[f'found {each}']:.3f}" for each in COMPETENCES),
         ]
         for row in found
@@ -198,14 +199,6 @@ def cost(sizes: Sizes, measured: Measured, out: Path) -> Iterator[Table]:
             f"{kind}: {what}" for kind in routes for what in ("single", "music", "AUC of music")
         ]
         yield Table(f"Accuracy after {statistic}, by shortlist", heads, rows, words=2)
-
-
-def driven(banks: Sequence[ScoreBank], share: float, fill: str, statistic: str) -> Row:
-    """Accuracy on routes of which a shortlist is left."""
-    left = [shortened(bank, share, fill) for bank in banks] if fill else banks
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", ".* has no correct match", UserWarning)
-        return accuracy(left, statistic)
 
 
 def main() -> None:

@@ -44,7 +44,7 @@ def test_tiny_sizes_make_every_table_and_nothing_twice(scale, monkeypatch, tmp_p
     def forbidden(*arguments):
         raise AssertionError("measured again")
 
-    for name in ("drive", "match", "search", "accuracy"):
+    for name in ("drive", "match", "search", "driven"):
         monkeypatch.setattr(scale, name, forbidden)
     assert run(scale, monkeypatch, capsys, tmp_path) == first
     next((tmp_path / "cells").iterdir()).unlink()
@@ -91,6 +91,6 @@ def test_faiss_agrees_with_numpy_when_all_lists_are_searched(shortlist):
         assert len(ours & theirs) >= 49  # the last place may differ by rounding
 
 
-def test_memory_of_a_drive_grows_with_places_and_not_with_the_history(scale):
+def test_memory_of_a_drive_is_one_sum_per_technique_and_place(scale):
     few, many = (scale.drive("evidence", places, 2, 1, 30)["mib"] for places in (2_000, 20_000))
-    assert 5 < many / few < 12
+    assert 7 < (many - few) * 2**20 / (18_000 * 2) < 9
