@@ -2,7 +2,7 @@
 
 Times are of one thread, in processor time, so that what else the machine does hardly counts. What
 is finished in DIR is not measured again unless code changes. By default it takes less than ten
-minutes and less than 4 GiB of memory.
+minutes of one processor and 5 GiB of memory.
 """
 
 from __future__ import annotations
