@@ -110,11 +110,7 @@ class AMOSNet(Technique):
         return {"weights": self._digest, "mean": self._mean_digest, "size": SIZE}
 
     def describe(self, image: Image) -> Descriptor:
-        """(7680,), channel by channel; none below 0.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(7680,), channel by channel; none below 0."""
         check_image(image)
         small = cv2.resize(image, (SIZE, SIZE), interpolation=cv2.INTER_LINEAR)
         values = torch.from_numpy(small.astype(np.float32) - self._mean)

@@ -46,11 +46,7 @@ class CALC(Technique):
         return {"weights": self._digest, "width": 160, "height": 120}
 
     def describe(self, image: Image) -> Descriptor:
-        """(1064,) of length 1; all zeros where the network gives nothing.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(1064,) of length 1; all zeros where the network gives nothing."""
         grey = torch.from_numpy(prepare_calc(image)).unsqueeze(0)  # (1, 1, 120, 160)
         with torch.inference_mode():
             descriptor: Descriptor = F.normalize(self._encoder(grey))[0].numpy()

@@ -59,20 +59,12 @@ class CoHOG(Technique):
         }
 
     def describe(self, image: Image) -> Descriptor:
-        """(32, 9, 32): cells, and the inverse lengths of the regions.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(32, 9, 32): cells, and the inverse lengths of the regions."""
         cells = cells_of(_grey(image))
         return _joined(cells, inverse_lengths(cells))
 
     def describe_query(self, image: Image) -> Descriptor:
-        """(32, 9, 32): cells, and the weights of the regions. Without any of interest all count.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(32, 9, 32): cells, and the weights of the regions. Without any of interest all count."""
         grey = _grey(image)
         cells = cells_of(grey)
         interest = regions_of_interest(grey)

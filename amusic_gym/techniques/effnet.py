@@ -173,11 +173,7 @@ class EffNet(Technique):
         return {"weights": self._digest, "block": self._block, "size": INPUT.width}
 
     def describe(self, image: Image) -> Descriptor:
-        """(D,) of length 1.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(D,) of length 1."""
         with torch.inference_mode():
             features = self._network(INPUT.apply(image)[None])  # (1, C, h, w)
             descriptor: Descriptor = self._aggregate(features)[0].numpy()

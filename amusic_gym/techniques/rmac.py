@@ -144,10 +144,6 @@ class RMACTechnique(Technique):
         return {"weights": self._digest, **self._pooling.parameters()}
 
     def describe(self, image: Image) -> Descriptor:
-        """(C,) of length 1, or (k,) with a whitening.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(C,) of length 1, or (k,) with a whitening."""
         descriptor: Descriptor = self._pooling(self._backbone.features(image))[0].numpy()
         return descriptor
