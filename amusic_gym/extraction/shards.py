@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, Self, TypeAlias, TypeVar
+from typing import Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from amusic_gym.extraction.blocks import (
 )
 from amusic_gym.extraction.code import describes_queries_alike
 from amusic_gym.techniques.protocol import Technique
+from amusic_gym.utils.closing import Closing
 from amusic_gym.utils.threads import one_thread
 
 ATTEMPTS = 3
@@ -56,20 +57,7 @@ class Shard(Protocol):
 S = TypeVar("S", bound=Shard)
 
 
-class _Context:
-    """A context that ends with `close`."""
-
-    def close(self) -> None:
-        """End what was started."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
-class Workers(_Context):
+class Workers(Closing):
     """Workers that hold one technique."""
 
     def run(
@@ -87,7 +75,7 @@ class Workers(_Context):
         raise NotImplementedError
 
 
-class Executor(_Context):
+class Executor(Closing):
     """A place to run shards."""
 
     def workers(self, technique: Technique) -> Workers:

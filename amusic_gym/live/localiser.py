@@ -21,6 +21,7 @@ from amusic_gym.policies.protocol import Context, Policy, Selector
 from amusic_gym.policies.registry import make_policy
 from amusic_gym.techniques.protocol import Image, Technique
 from amusic_gym.utils.checks import number, share
+from amusic_gym.utils.closing import Closing
 from amusic_gym.utils.names import suggest
 from amusic_gym.utils.states import read_state, write_state
 
@@ -85,7 +86,7 @@ class Pushed:
         """Nothing to do."""
 
 
-class Localiser:
+class Localiser(Closing):
     """Recognises the places of a map in images that are pushed into it.
 
     It does what `navigate` does with the same images. See :meth:`load` for the arguments.
@@ -307,12 +308,6 @@ class Localiser:
         """End the threads that match; nothing can be recognised from now on."""
         self._closed = True
         self.map.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def _checked(image: ArrayLike) -> Image:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from amusic_gym.live.drives import FrameResult
+from amusic_gym.utils.closing import Closing
 
 INSTALL = 'pip install "amusic-gym[rerun]"'
 
@@ -19,7 +20,7 @@ QUALITY = 75
 """Of the camera's pictures, JPEG."""
 
 
-class Recording:
+class Recording(Closing):
     """Writes a drive to Rerun, frame by frame. Use it as a context manager.
 
     Args:
@@ -70,9 +71,3 @@ class Recording:
         """Write what waits."""
         self._stream.flush()
         self._stream.disconnect()
-
-    def __enter__(self) -> Recording:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

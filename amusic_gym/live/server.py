@@ -8,12 +8,13 @@ from importlib.resources import files
 from typing import Any
 
 from amusic_gym.live.answers import line
+from amusic_gym.utils.closing import Closing
 
 ALIVE = 15.0
 """Seconds without an answer after which a reader of events is told that all is well."""
 
 
-class AnswerServer:
+class AnswerServer(Closing):
     """Serves ``/last`` (JSON; 204 before the first), ``/events`` and ``/``, in threads of its own.
 
     Who reads events slower than frames come misses some. Use it as a context manager.
@@ -69,12 +70,6 @@ class AnswerServer:
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
-
-    def __enter__(self) -> AnswerServer:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 class _Server(ThreadingHTTPServer):
