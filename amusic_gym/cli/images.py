@@ -17,6 +17,7 @@ from amusic_gym.routes.position_files import EXIF, positions_of, read_track
 from amusic_gym.routes.positions import Positions
 from amusic_gym.routes.video_frames import frames_of
 from amusic_gym.utils.checks import whole
+from amusic_gym.utils.names import few
 
 if TYPE_CHECKING:
     from amusic_gym.techniques import Technique
@@ -99,11 +100,10 @@ def image_folder(args: argparse.Namespace, path: str | os.PathLike[str], side: i
     folder = ImageFolder(path, order=order_of(args, side))
     damaged = folder.damaged() if args.skip_damaged else {}
     if damaged:
-        told = "; ".join(list(damaged.values())[:_NAMED])
-        more = f"; and {len(damaged) - _NAMED} more" if len(damaged) > _NAMED else ""
+        told = few(list(damaged.values()), _NAMED, "; ")
         warnings.warn(
             f"{folder.path}: {len(damaged)} damaged images are left out, so neighbouring frames"
-            f" may not be neighbours on the route: {told}{more}",
+            f" may not be neighbours on the route: {told}",
             stacklevel=2,
         )
     return folder.without(damaged)

@@ -20,6 +20,7 @@ from amusic_gym.extraction.shards import Advance, DescribeShard, MatchShard, S, 
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.images import check_image, digest_of, lost_levels, read_bytes
 from amusic_gym.techniques.protocol import Technique
+from amusic_gym.utils.names import few
 
 _SAMPLE = 5  # images of a traverse whose grey levels are counted
 _NAMED = 5  # refused images that are named before they are only counted
@@ -50,10 +51,9 @@ def images_of(folder: ImageFolder) -> Images:
         except ValueError as error:
             refused.append(str(error))
     if refused:
-        more = f"; and {len(refused) - _NAMED} more" if len(refused) > _NAMED else ""
         count = f"{len(refused)} images cannot be used: " if len(refused) > 1 else ""
-        named = "; ".join(refused[:_NAMED])
-        raise ValueError(f"{count}{named}{more}; or go on without (--skip-damaged)")
+        named = few(refused, _NAMED, "; ")
+        raise ValueError(f"{count}{named}; or go on without (--skip-damaged)")
     if lost:
         warnings.warn(lost, UserWarning, stacklevel=2)
     return Images(paths, tuple(digests), folder.changes)

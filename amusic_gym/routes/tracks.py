@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from amusic_gym.banks.truth_files import numbers_by_name
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.positions import Positions
+from amusic_gym.utils.names import few
 
 GAP = 1.0
 """Seconds that an image may be taken before or after the nearest position in time."""
@@ -156,8 +157,7 @@ def heading_of(x: Floats, y: Floats, z: Floats, w: Floats) -> Floats:
 def refuse_missing(source: str, missing: Sequence[str], what: str) -> None:
     """Refuse a source that lacks the positions of some images, naming a few."""
     if missing:
-        more = f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
         raise ValueError(
-            f"{source} has no position of {len(missing)} {what}: {', '.join(missing[:_NAMED])}"
-            f"{more}; add them, or leave these images out (--order)"
+            f"{source} has no position of {len(missing)} {what}: {few(missing, _NAMED)}"
+            "; add them, or leave these images out (--order)"
         )

@@ -96,12 +96,8 @@ class AMOSNet(Technique):
                 f"--weights {self.name.lower()}={self.name}.caffemodel"
             )
         file = read_weights(weights)
-        part = file.under("conv1.weight")
-        if part is None:
-            raise file.missing(self.name, "conv1.weight")
-        with torch.device("meta"):
-            network = PlaceNetwork()
-        self._network = load_layers(network, partial(part.layer, self.name))
+        part = file.part(self.name, "conv1.weight")
+        self._network = load_layers(PlaceNetwork, partial(part.layer, self.name))
         self._digest = file.digest
         self._mean, self._mean_digest = _mean(argument)
 

@@ -91,9 +91,7 @@ def _vgg16(file: WeightFile, mean: Triple, deviation: Triple, *, pool: bool) -> 
         tuple(len(layer(f"{number}.weight", None, None, 3, 3)) for number in stage)
         for stage in VGG16_LAYERS
     )
-    with torch.device("meta"):
-        network = conv_layers(stages)
-    load_layers(network, layer)
+    network = load_layers(partial(conv_layers, stages), layer)
     network.append(nn.ReLU())
     if pool:
         network.append(nn.MaxPool2d(2))
@@ -107,15 +105,17 @@ def _alexnet(file: WeightFile, mean: Triple) -> Backbone:
     for number, size in ((0, 11), (4, 5), (8, 3), (10, 3), (12, 3)):
         widths.append(len(layer(f"{number}.weight", None, None, size, size)))
     norm, pool = partial(nn.LocalResponseNorm, 5, 1e-4, 0.75, 1.0), partial(nn.MaxPool2d, 3, 2)
-    with torch.device("meta"):
-        network = nn.Sequential(
+
+    def build() -> nn.Sequential:
+        return nn.Sequential(
             *(nn.Conv2d(3, widths[1], 11, 4), nn.ReLU(), norm(), pool()),
             *(nn.Conv2d(widths[1], widths[2], 5, padding=2, groups=2), nn.ReLU(), norm(), pool()),
             *(nn.Conv2d(widths[2], widths[3], 3, padding=1), nn.ReLU()),
             *(nn.Conv2d(widths[3], widths[4], 3, padding=1, groups=2), nn.ReLU()),
             *(nn.Conv2d(widths[4], widths[5], 3, padding=1, groups=2), nn.ReLU(), pool()),
         )
-    return Backbone(load_layers(network, layer), widths[-1], mean, (1.0, 1.0, 1.0))
+
+    return Backbone(load_layers(build, layer), widths[-1], mean, (1.0, 1.0, 1.0))
 
 
 def _layer(file: WeightFile, matlab: str, name: str, *shape: int | None) -> NDArray[np.float32]:

@@ -21,10 +21,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from amusic_gym.techniques.networks import NetVLADNetwork, NetVLADWidths, load_layers
@@ -94,9 +94,10 @@ def load_netvlad(file: WeightFile) -> tuple[NetVLADNetwork, Preparation]:
 
 
 def _build(file: WeightFile, widths: NetVLADWidths, name: Callable[[str], str]) -> NetVLADNetwork:
-    with torch.device("meta"):
-        network = NetVLADNetwork(widths)
-    return load_layers(network, lambda ours, *shape: file.layer("NetVLAD", name(ours), *shape))
+    def layer(ours: str, *shape: int) -> NDArray[np.float32]:
+        return file.layer("NetVLAD", name(ours), *shape)
+
+    return load_layers(partial(NetVLADNetwork, widths), layer)
 
 
 def _read_description(

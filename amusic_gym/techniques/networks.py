@@ -23,9 +23,6 @@ from amusic_gym.utils.checks import whole
 Stages: TypeAlias = tuple[tuple[int, ...], ...]
 Network = TypeVar("Network", bound=nn.Module)
 
-VGG16_STAGES: Stages = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
-"""Channels of VGG16's convolutions; a 2×2 pooling halves the image between two stages."""
-
 COMPACT_STAGES: Stages = ((16, 16), (32, 32), (64, 64), (128, 128))
 """Channels of a backbone small enough to ship."""
 
@@ -210,13 +207,15 @@ class NetVLADNetwork(nn.Module):
         return copy
 
 
-def load_layers(network: Network, layer: Callable[..., NDArray[np.float32]]) -> Network:
-    """Give a network its weights and make it ready for use: no gradients, no training mode.
+def load_layers(build: Callable[[], Network], layer: Callable[..., NDArray[np.float32]]) -> Network:
+    """A network with its weights, ready for use: no gradients, no training mode.
 
     Args:
-        network: best built on PyTorch's device ``meta``: no memory, no random numbers.
+        build: gives the network.
         layer: name and shape of a layer -> its weights.
     """
+    with torch.device("meta"):  # no memory, no random numbers
+        network = build()
     tensors = {
         name: torch.from_numpy(layer(name, *tensor.shape))
         for name, tensor in network.state_dict().items()

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from safetensors.numpy import save
 
 from amusic_gym.techniques.weight_readers import (
     MOST_BYTES,
@@ -25,7 +26,9 @@ from amusic_gym.techniques.weight_readers import (
     RefusalError,
     refuse_bombs,
 )
+from amusic_gym.utils.names import few
 from amusic_gym.utils.reading import open_file
+from amusic_gym.utils.storage import write_whole
 
 FORMAT_VERSION = 1
 """Of our own layout (saved_weights.py); rises when stored weights would mean something else."""
@@ -103,11 +106,18 @@ class WeightFile:
         arrays = {name[cut:]: plain[name] for name in plain if name.startswith(prefixes[0])}
         return WeightFile(self.path, self.digest, arrays, self.metadata)
 
+    def part(self, technique: str, anchor: str) -> WeightFile:
+        """As :meth:`under`, refused where there is no such array."""
+        found = self.under(anchor)
+        if found is None:
+            raise self.missing(technique, anchor)
+        return found
+
     def missing(self, technique: str, name: str) -> ValueError:
         """The refusal of a file without a layer."""
         return ValueError(
             f"{self.path} has no layer {name}, which {technique} needs; it holds "
-            f"{shortened(list(self.arrays))}: give weights of {technique}"
+            f"{few(list(self.arrays), 4) or 'no weights'}: give weights of {technique}"
         )
 
     def layer(self, technique: str, name: str, *shape: int | None) -> NDArray[np.float32]:
@@ -148,10 +158,19 @@ def _plain(name: str) -> str:
     return ".".join(piece for piece in pieces if piece != "module")
 
 
-def shortened(names: list[str], most: int = 4) -> str:
-    """A few of the names, and how many more there are."""
-    rest = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + rest if names else "no weights"
+def write_weights(
+    path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], description: dict[str, Any]
+) -> Path:
+    """Write weights in our layout, whole or not at all.
+
+    Raises:
+        ValueError: for a name that does not end in ``.safetensors``.
+    """
+    path = Path(path)
+    if path.suffix != ".safetensors":
+        raise ValueError(f"{path} should end in .safetensors; rename it")
+    text = json.dumps({"format_version": FORMAT_VERSION, **description}, sort_keys=True)
+    return write_whole(path, save(dict(arrays), {DESCRIPTION: text}))
 
 
 def shipped(name: str) -> Path:

@@ -47,6 +47,16 @@ def distinct(names: Sequence[str], taken: Iterable[str] = ()) -> list[str]:
     return given
 
 
+def few(items: Sequence[str], most: int, between: str = ", ") -> str:
+    """The first of some items, and how many more there are.
+
+    >>> few(["a", "b", "c", "d"], 2)
+    'a, b and 2 more'
+    """
+    rest = f"{between.strip(', ')} and {len(items) - most} more" if len(items) > most else ""
+    return between.join(items[:most]) + rest
+
+
 def file_stem(name: str) -> str:
     """A name as part of a file's name on any system: letters, digits and ``-_.+``, not long."""
     safe = "".join(c if c.isalnum() or c in "-_.+" else "_" for c in name).strip("._").encode()
