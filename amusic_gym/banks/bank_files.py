@@ -106,9 +106,7 @@ def check_destination(path: Path) -> None:
 def read(path: Path, *, verify: bool) -> tuple[NDArray[np.float32], GroundTruth, dict[str, Any]]:
     """Scores (T, Q, R), memory-mapped, ground truth and manifest of a bank, checked to agree.
 
-    Args:
-        path: the folder.
-        verify: also compare the checksum of the scores, which reads them all.
+    ``verify`` compares the checksum of the scores, too, which reads them all.
 
     Raises:
         FileNotFoundError: when the folder or a file in it is missing.
@@ -161,13 +159,6 @@ def parse_manifest(
     content: bytes, path: Path, kind: str, most: int, rebuild: str
 ) -> dict[str, Any]:
     """The manifest of a folder that holds a checksum of itself.
-
-    Args:
-        content: of the file.
-        path: the file.
-        kind: of the folder, for messages.
-        most: newest format version that is known.
-        rebuild: what to do about a damaged one.
 
     Raises:
         ValueError: for a damaged one, or one of a newer version.

@@ -66,10 +66,7 @@ def true_ranks(
 ) -> NDArray[np.int64]:
     """Rank of the first true place in the list of each frame, (Q,), from 1; 0: not in it.
 
-    Args:
-        bank: the route, Q frames.
-        predictions: (Q,) places, −1 for none.
-        ran: (Q, T).
+    ``predictions`` (Q,) are places, −1 for none; ``ran`` is (Q, T).
     """
     ranks = bank.truth.correct(predictions).astype(np.int64)
     asked = (ranks == 0) & bank.truth.has_place & ran.any(axis=1)

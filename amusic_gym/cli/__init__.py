@@ -1,7 +1,8 @@
 """The commands: ``amusic NAME``, ``python -m amusic_gym NAME``, ``python scripts/NAME.py``.
 
 A command is a module of its name with ``add_arguments(parser)`` and ``main(args)``; its docstring
-is what ``--help`` begins with.
+is what ``--help`` begins with. What input is refused, every function here raises as a ValueError of
+one sentence; what is not there, as a FileNotFoundError.
 """
 
 from __future__ import annotations

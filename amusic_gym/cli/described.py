@@ -48,12 +48,7 @@ class Described(NamedTuple):
 
 
 def from_file(args: argparse.Namespace, stack: ExitStack) -> Described:
-    """The map of ``--map``.
-
-    Raises:
-        FileNotFoundError: as `PlaceMap.load`.
-        ValueError: likewise, and for options that are of images.
-    """
+    """The map of ``--map``."""
     for name in _OF_IMAGES:
         if getattr(args, name) is not None:
             raise ValueError(f"--{name.replace('_', '-')} does not go with --map, which brings it")
@@ -104,12 +99,7 @@ def truth_of(
 ) -> GroundTruth | None:
     """What is right, by ``--ground-truth`` or by the positions of both; None: nobody knows.
 
-    Args:
-        args: of the command.
-        described: the map.
-        frames: the run.
-        there: where its images were taken.
-        default: tolerance where a file gives one place per frame and ``--tolerance`` none.
+    ``default`` is the tolerance where a file gives one place per frame and ``--tolerance`` none.
     """
     folder = getattr(frames, "images", None)
     if args.ground_truth is not None:

@@ -54,12 +54,7 @@ def traverse(
     positions: str | None,
     side: int = 0,
 ) -> Traverse:
-    """The images of a folder or a video, thinned and with positions as the options say.
-
-    Raises:
-        FileNotFoundError: for what is not there.
-        ValueError: for what cannot be read, or options that do not go together.
-    """
+    """The images of a folder or a video, thinned and with positions as the options say."""
     metres = args.every_metres
     if args.every is not None and args.fps is not None:
         raise ValueError("--every and --fps both thin a video; give one of the two")
@@ -122,13 +117,7 @@ def techniques_of(
 ) -> tuple[list[Technique], dict[str, float]]:
     """The techniques of the command line, and the seconds that are given for some, by name.
 
-    Args:
-        args: with ``techniques``, ``weights`` and ``seconds``.
-        others: names of techniques that do not run here, and may have seconds.
-
-    Raises:
-        FileNotFoundError: for a file of weights that is not there.
-        ValueError: for an unknown name, weights that do not fit, or seconds that are no number.
+    ``others`` are names of techniques that do not run here, and may have seconds.
     """
     from amusic_gym.techniques import make_technique
 

@@ -136,11 +136,7 @@ def describe_one(technique: Technique, image: Image, *, query: bool) -> Descript
 
 
 def describe_some(technique: Technique, images: Sequence[Image]) -> list[Descriptor]:
-    """Descriptors of several images, all at once, as :func:`describe_one` gives them.
-
-    Raises:
-        ValueError: as :func:`describe_one`.
-    """
+    """Descriptors of several images, all at once, as :func:`describe_one` gives them."""
     what = f"technique {technique.name!r}"
     given = guarded(what, technique, alone, technique.describe_batch, images)
     if len(given) != len(images):

@@ -63,11 +63,6 @@ def images_of(folder: ImageFolder) -> Images:
 class ExtractionPlan:
     """One technique on one route, in blocks, and the keys of its results in the cache.
 
-    Args:
-        technique: the technique.
-        reference: the map's images.
-        query: the query's images.
-
     Attributes:
         references: blocks of the map.
         queries: blocks of the query.
@@ -113,16 +108,8 @@ def describe(
 ) -> list[Stored]:
     """Descriptors of one side's blocks, from the cache or computed.
 
-    Args:
-        plan: of the technique.
-        cache: where they are, and where new ones go as they are finished.
-        workers: for those that the cache lacks.
-        progress: gets a bar.
-        query: whether the queries or the map.
-        only: indices of the blocks that are wanted, rising; None: all.
-
-    Returns:
-        The wanted blocks.
+    ``query`` tells the side, ``only`` the indices of the blocks that are wanted, rising; None: all.
+    New ones go to the cache as they are finished.
 
     Raises:
         ValueError: for an image that cannot be read or described; for descriptors of different

@@ -128,9 +128,7 @@ def write(path: Path, contents: MapContents) -> None:
 def read(path: Path, *, verify: bool) -> MapContents:
     """What a map's folder holds, checked to agree; descriptors are not read.
 
-    Args:
-        path: the folder.
-        verify: also compare the checksums of all files, which reads them.
+    ``verify`` compares the checksums of all files, too, which reads them.
 
     Raises:
         FileNotFoundError: when the folder or a file in it is missing.

@@ -211,19 +211,8 @@ def append_to_map(
 ) -> Path:
     """Add the places of another traverse behind those of a map, described by its techniques.
 
-    Args:
-        path: of the map, which is written anew.
-        images: see `build_map`.
-        weights: see `PlaceMap.load`.
-        positions: of the images, where the map has positions.
-        cache: see `build_map`.
-        executor: likewise.
-        progress: likewise.
-
-    Raises:
-        FileNotFoundError: as `PlaceMap.load` and `build_map`.
-        ValueError: likewise; for positions where the map has none, or the other way round.
-        OSError: when the map cannot be written; it is as it was.
+    Arguments and errors are those of `build_map` and `PlaceMap.load`. The map is written anew, with
+    positions where it has some.
     """
     path = Path(path)
     there = map_files.read(path, verify=True)  # else new checksums would vouch for damage

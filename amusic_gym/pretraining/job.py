@@ -82,10 +82,7 @@ class TrainingJob:
 def accuracy(describe: Describe, pool: Pool, *, cameras: bool) -> float:
     """Share of places that find themselves, within ``TOLERANCE`` places, on the other drive.
 
-    Args:
-        describe: images to descriptors.
-        pool: worlds that the network never saw.
-        cameras: whether each traverse is taken by a random camera, else as rendered.
+    Each traverse is taken by a random camera where ``cameras`` says so, else as rendered.
     """
     right: list[np.bool_] = []
     for world in range(pool.worlds):

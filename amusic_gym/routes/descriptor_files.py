@@ -55,10 +55,6 @@ def read_traverse(path: _Path, order: _Path | None = None) -> ImageFolder:
 def named(path: Path, names: Sequence[str]) -> ImageFolder:
     """A traverse of which only the images' names are known.
 
-    Args:
-        path: where they were read, for messages.
-        names: N, in order.
-
     Raises:
         ValueError: when there is none, or one twice.
     """

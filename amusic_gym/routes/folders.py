@@ -166,9 +166,6 @@ class ImageFolder:
     def without(self, left_out: Iterable[int]) -> ImageFolder:
         """The traverse without some images; the others keep their numbers for ground truth.
 
-        Args:
-            left_out: indices of images.
-
         Raises:
             ValueError: when none would be left of a part, or some were left out before.
         """
@@ -217,9 +214,7 @@ class ImageFolder:
 def check_apart(reference: object, query: object) -> None:
     """Refuse a map that holds the folder of its own run, or the other way round.
 
-    Args:
-        reference: the map; anything but an `ImageFolder` passes.
-        query: the run.
+    Anything but an `ImageFolder` passes.
 
     Raises:
         ValueError: naming both.

@@ -74,17 +74,10 @@ class CoHOG(Technique):
         return _joined(cells, weights)
 
     def match(self, query: Descriptor, references: Descriptor) -> NDArray[np.float32]:
-        """Score of a query with each of B references, 0 to 1.
+        """Scores (B,) of a query (32, 9, 32) with references (B, 32, 9, 32), 0 to 1.
 
         A score has the same bits whatever other references it is computed with. Python's lock is
         free meanwhile, so several threads may match at once.
-
-        Args:
-            query: (32, 9, 32), from :meth:`describe_query`.
-            references: (B, 32, 9, 32), from :meth:`describe`.
-
-        Returns:
-            (B,) float32.
 
         Raises:
             ValueError: for descriptors of another shape.

@@ -62,9 +62,7 @@ def read_matfile(data: bytes, most: int) -> dict[str, Any]:
 class _Reader:
     """Reads elements: a type, a number of bytes, and the bytes.
 
-    Args:
-        order: of bytes.
-        left: bytes that arrays and unpacked elements may still have.
+    ``left`` is how many bytes arrays and unpacked elements may still have.
     """
 
     def __init__(self, order: Literal["<", ">"], left: int) -> None:

@@ -46,14 +46,7 @@ class CALCEncoder(nn.Module):
         self.norm = nn.LocalResponseNorm(size=5, alpha=1e-4, beta=0.75, k=1.0)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Descriptors, not yet of length 1.
-
-        Args:
-            images: (B, 1, 120, 160) grey, 0 to 1.
-
-        Returns:
-            (B, 1064) float32, none below 0.
-        """
+        """(B, 1, 120, 160) grey, 0 to 1 -> (B, 1064), none below 0, not yet of length 1."""
         first = self.norm(self.pool(torch.relu(self.conv1(images))))  # (B, 64, 31, 41)
         second = self.norm(self.pool(torch.relu(self.conv2(first))))  # (B, 128, 16, 21)
         return torch.relu(self.conv3(second)).flatten(1)  # (B, 4, 14, 19) -> (B, 1064)
@@ -137,14 +130,7 @@ class NetVLADPooling(nn.Module):
         self.centroids = nn.Parameter(centroids)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Residuals, of length 1 per word.
-
-        Args:
-            features: (B, C, h, w).
-
-        Returns:
-            (B, K, C).
-        """
+        """Residuals, of length 1 per word: (B, C, h, w) -> (B, K, C)."""
         local = F.normalize(features.flatten(2), dim=1).transpose(1, 2)  # (B, N, C)
         shares = torch.softmax(self.assignment(local), dim=2).transpose(1, 2)  # (B, K, N)
         sums = shares @ local - shares.sum(2, keepdim=True) * self.centroids  # (B, K, C)

@@ -58,11 +58,7 @@ class Recipe:
 
     @classmethod
     def read(cls, path: Path, name: str) -> Recipe:
-        """A recipe's file.
-
-        Args:
-            path: the file.
-            name: where it has none.
+        """A recipe's file; ``name`` is for one without.
 
         Raises:
             FileNotFoundError: when there is no such file.

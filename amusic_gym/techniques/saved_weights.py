@@ -32,12 +32,6 @@ from amusic_gym.techniques.weight_files import write_weights
 def save_calc(path: str | Path, encoder: CALCEncoder, *, training: str, half: bool = False) -> Path:
     """Write CALC's weights, whole or not at all; the same weights give the same bytes.
 
-    Args:
-        path: a name that ends in ``.safetensors``.
-        encoder: the trained network.
-        training: how the weights were made, in plain words.
-        half: store float16, which takes half the room.
-
     Raises:
         ValueError: for weights that are not finite, as float16 if that is asked for.
     """

@@ -19,11 +19,6 @@ def imports_of(text: bytes, module: str, *, is_package: bool) -> Iterator[str]:
     """Dotted names that a source file imports, with those that may be modules.
 
     What is imported inside a function counts; what is for type checkers only does not.
-
-    Args:
-        text: of the file.
-        module: its dotted name.
-        is_package: whether it is a package's ``__init__.py``.
     """
     try:
         pending: list[ast.AST] = [ast.parse(text)]

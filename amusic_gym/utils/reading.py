@@ -133,11 +133,8 @@ def read_regular(path: Path, limit: int, folder: int | None = None) -> bytes:
 def parse_json(content: bytes, path: Path, mend: str, kind: type = dict) -> Any:
     """The object that a JSON file holds; every number in it is finite as a float64.
 
-    Args:
-        content: of the file.
-        path: of the file, for messages.
-        mend: what to do about a damaged one, for messages.
-        kind: list, where it holds no object but a list.
+    ``mend`` says what to do about a damaged one; ``kind`` is list where it holds no object but a
+    list.
 
     Raises:
         ValueError: for anything else, also for what is nested too deep.

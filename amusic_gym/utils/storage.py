@@ -151,9 +151,6 @@ def replacing_file(path: Path) -> Iterator[Path]:
     Whatever happens (an error, a full disk, SIGKILL), ``path`` holds the old file or the new one,
     whole.
 
-    Args:
-        path: the final name; its parents are made.
-
     Raises:
         OSError: when writing fails; nothing at ``path`` has changed then.
     """
@@ -208,11 +205,6 @@ def unfinished(
     """Yield a new file or folder in ``folder`` that is gone at the end, unless it was renamed.
 
     Its permissions are those that the umask gives. While it is locked nobody sweeps it.
-
-    Args:
-        folder: where.
-        suffix: end of its name.
-        make: makes it; default: an empty file.
     """
     while True:
         path = folder / f"{_PREFIX}{secrets.token_hex(8)}.tmp{suffix}"
