@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,15 +88,11 @@ def viterbi(emissions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArra
     return values, path
 
 
+@dataclass(eq=False)
 class MultiProcessFusion:
-    """Runs everything; the place is the end of the likeliest path through the last frames.
+    """Runs everything; the place is the end of the likeliest path through the last frames."""
 
-    Args:
-        radius: R, places to either side that count as the same match.
-    """
-
-    def __init__(self, radius: int = RADIUS) -> None:
-        self.radius = radius
+    radius: int = RADIUS  # R, places to either side that count as the same match
 
     def reset(self, references: int, techniques: int) -> None:
         """Forget the last frames."""

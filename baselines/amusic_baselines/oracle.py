@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,7 @@ class Oracle:
         if mask.size != 1:
             raise ValueError(f"the oracle knows one route, not {mask.size}; run one at a time")
         foresight = _Belief if self.settings.statistic == "belief" else _Diagonals
-        self._foresight: _Foresight = foresight(self.bank, self.settings)
+        self._foresight = foresight(self.bank, self.settings)
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
         """One bit: the cheapest technique that will be right."""
@@ -63,23 +63,12 @@ class Oracle:
         return int(self._order[0])
 
 
-class _Foresight(Protocol):
-    """What the next frame would come to."""
-
-    def __init__(self, bank: ScoreBank, settings: SICSettings) -> None:
-        """Begin the route."""
-
-    def place(self, technique: int, frame: int) -> int:
-        """The prediction if only this technique ran on the frame."""
-        ...
-
-    def take(self, technique: int, frame: int) -> None:
-        """Let it run there."""
-        ...
-
-
 class _Diagonals:
-    """Each technique's own SIC: where one technique runs per frame, MuSIC takes its match."""
+    """Each technique's own SIC: where one technique runs per frame, MuSIC takes its match.
+
+    As :class:`_Belief`, it tells the `place` if only one technique ran on the next frame, and
+    lets it run there, `take`.
+    """
 
     def __init__(self, bank: ScoreBank, settings: SICSettings) -> None:
         from amusic_gym.estimation.sic.correction import SIC

@@ -154,19 +154,13 @@ def _by_cost(bank: ScoreBank, names: Sequence[str]) -> ScoreBank:
     )
 
 
+@dataclass(eq=False)
 class SwitchHit:
-    """Runs the cheapest technique; while none is probably right, the one that helps most there.
+    """Runs the cheapest technique; while none is probably right, the one that helps most there."""
 
-    Args:
-        experience: of the route's techniques, in their order.
-        first: index of the technique to begin with.
-        threshold: τ, correctness at which it stops.
-    """
-
-    def __init__(self, experience: Experience, first: int, threshold: float = THRESHOLD) -> None:
-        self.experience = experience
-        self.first = first
-        self.threshold = threshold
+    experience: Experience  # of the route's techniques, in their order
+    first: int  # index of the technique to begin with
+    threshold: float = THRESHOLD  # τ, correctness at which it stops
 
     def reset(self, references: int, techniques: int) -> None:
         """Nothing to forget.
