@@ -76,10 +76,7 @@ class GroundTruth:
                 f"ground truth has shape {array.shape} and dtype {array.dtype}; "
                 "give a boolean matrix [query, reference]"
             )
-        queries, places = np.nonzero(array)
-        indptr = np.zeros(array.shape[0] + 1, np.int64)
-        np.cumsum(np.bincount(queries, minlength=array.shape[0]), out=indptr[1:])
-        return cls(indptr, places.astype(np.int64), array.shape[1])
+        return cls.from_lists([np.flatnonzero(row) for row in array], array.shape[1])
 
     @classmethod
     def from_places(cls, centres: ArrayLike, tolerance: int, references: int) -> GroundTruth:
@@ -99,9 +96,8 @@ class GroundTruth:
     def from_lists(cls, places: Sequence[ArrayLike], references: int) -> GroundTruth:
         """Ground truth from the true places of each query, rising, on a map of ``references``."""
         rows = [np.asarray(row, np.int64) for row in places]
-        return cls(
-            np.append(0, np.cumsum([len(row) for row in rows])), np.concatenate(rows), references
-        )
+        indptr = np.append(0, np.cumsum([len(row) for row in rows], dtype=np.int64))
+        return cls(indptr, np.concatenate([np.zeros(0, np.int64), *rows]), references)
 
     def widened(self, tolerance: int, parts: Sequence[int] = ()) -> GroundTruth:
         """The same, and ``tolerance`` places to either side of each true one, on its own part.
@@ -147,6 +143,10 @@ class GroundTruth:
     def has_place(self) -> NDArray[np.bool_]:
         """(Q,) whether the query has a true place at all."""
         return np.diff(self.indptr) > 0
+
+    def of(self, query: int) -> NDArray[np.int64]:
+        """(n,) true places of a query, rising."""
+        return self.places[self.indptr[query] : self.indptr[query + 1]]
 
     def correct(self, predictions: ArrayLike, frames: ArrayLike | None = None) -> NDArray[np.bool_]:
         """Whether each predicted place is a true one; -1 (no prediction) never is.

@@ -72,7 +72,7 @@ def true_ranks(
     asked = (ranks == 0) & bank.truth.has_place & ran.any(axis=1)
     for frame in np.flatnonzero(asked).tolist():
         scores, given = _fused(bank, frame, ran[frame]), predictions[frame]
-        true = bank.truth.places[slice(*bank.truth.indptr[frame : frame + 2])]
+        true = bank.truth.of(frame)
         best = true[scores[true].argmax()]  # the first of them
         if scores[best] == -np.inf:
             continue

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -74,6 +74,19 @@ class Parser(argparse.ArgumentParser):
         elif unknown:
             near = nearest(unknown[1], sorted(self._options))
         return f"; did you mean '{near}'?" if near else ""
+
+
+Command = tuple[Callable[[argparse.Namespace], None], Callable[["Parser"], None], str]
+"""What runs a subcommand and gives it its name, what adds its arguments, and its help."""
+
+
+def add_commands(parser: Parser, *commands: Command) -> None:
+    """Add subcommands; what is parsed has as ``run`` what runs the one that was named."""
+    all_of_them = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for run, add, about in commands:
+        command = all_of_them.add_parser(run.__name__, help=about)
+        command.set_defaults(run=run)
+        add(command)
 
 
 def destination(text: str) -> Path:

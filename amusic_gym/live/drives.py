@@ -96,16 +96,13 @@ class Drive(Protocol):
 def drive_along(
     policy: Policy,
     route: LiveRoute,
+    how: Correction,
     *,
-    statistic: str = SICSettings.statistic,
-    carry: bool | None = None,
-    discount: bool | None = None,
     compute_weight: float | None = None,
     keeper: Keeper | None = None,
 ) -> Drive:
     """A drive that is about to take its first frame; see `amusic_gym.live.navigation.navigate`."""
     if isinstance(policy, Selector):
-        how = Correction.under(policy, statistic, carry, discount)
         weight = 1.0 if compute_weight is None else compute_weight
         return _SelectorDrive(policy, route, how, weight, keeper)
     return _LocaliserDrive(policy, route)

@@ -10,7 +10,7 @@ from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.live.drives import FrameResult, drive_along
 from amusic_gym.live.limits import Keeper
-from amusic_gym.policies.protocol import Policy
+from amusic_gym.policies.protocol import Correction, Policy
 from amusic_gym.policies.trace import CSV_COLUMNS, csv_line
 from amusic_gym.utils.closing import Closing
 from amusic_gym.utils.escaping import CsvWriter
@@ -47,15 +47,8 @@ def navigate(
         ValueError: for what :class:`~amusic_gym.envs.task.Task` and the route refuse.
         FileNotFoundError: for an image that is gone.
     """
-    drive = drive_along(
-        policy,
-        route,
-        statistic=statistic,
-        carry=carry,
-        discount=discount,
-        compute_weight=compute_weight,
-        keeper=keeper,
-    )
+    how = Correction.under(policy, statistic, carry, discount)
+    drive = drive_along(policy, route, how, compute_weight=compute_weight, keeper=keeper)
     while (seen := drive.step()) is not None:
         yield seen
 

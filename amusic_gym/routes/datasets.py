@@ -26,17 +26,17 @@ class Dataset:
         reference: folders of the map, from the data sets' root; several are joined in this order.
         query: folders of the run, as many.
         images: how many each traverse has in the paper.
-        tolerance: places to either side of the true one that count as right.
         condition: what differs between the traverses.
         source: where to get it; the part of a sentence that follows "get it from".
+        tolerance: places to either side of the true one that count as right.
     """
 
     reference: tuple[str, ...]
     query: tuple[str, ...]
     images: int
-    tolerance: int
     condition: str
     source: str
+    tolerance: int = 1
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,6 @@ DATASETS = {
         reference=("nordland/summer",),
         query=("nordland/winter",),
         images=1000,
-        tolerance=1,
         condition="extreme seasonal",
         source=_NORDLAND,
     ),
@@ -74,7 +73,6 @@ DATASETS = {
         reference=("nordland/summer",),
         query=("nordland/fall",),
         images=1000,
-        tolerance=1,
         condition="moderate seasonal",
         source=_NORDLAND,
     ),
@@ -82,7 +80,6 @@ DATASETS = {
         reference=("berlin/halenseestrasse-2", "berlin/kudamm-1", "berlin/A100-1"),
         query=("berlin/halenseestrasse-1", "berlin/kudamm-2", "berlin/A100-2"),
         images=250,
-        tolerance=1,
         condition="strong viewpoint",
         source="the repository Ahmedest61/CNN-Region-VLAD-VPR on GitHub (images of Mapillary)",
     ),
@@ -90,7 +87,6 @@ DATASETS = {
         reference=("gardens_point/day_left",),
         query=("gardens_point/night_right",),
         images=200,
-        tolerance=1,
         condition="outdoor illumination; lateral shift",
         source="Zenodo, record 4590133 (Gardens Point Walking)",
     ),
@@ -98,7 +94,6 @@ DATASETS = {
         reference=("st_lucia/afternoon",),
         query=("st_lucia/morning",),
         images=1100,
-        tolerance=1,
         condition="daylight; dynamic elements",
         source="the wiki of arrenglover/openfabmap on GitHub (St Lucia Multiple Times of Day)",
     ),

@@ -177,13 +177,3 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
 def digest_of(data: bytes) -> str:
     """SHA-256 of a file's bytes, 64 hexadecimal digits."""
     return hashlib.sha256(data).hexdigest()
-
-
-def image_digest(path: str | os.PathLike[str]) -> str:
-    """SHA-256 of an image file's bytes, 64 hexadecimal digits; nothing is decoded.
-
-    Raises:
-        FileNotFoundError: when there is no such file.
-        ValueError: when it is a folder.
-    """
-    return digest_of(read_bytes(path))

@@ -98,6 +98,11 @@ class Positions:
                 taken.append(at)
         return np.array(taken)
 
+    def coordinates(self) -> NDArray[np.float64]:
+        """(N, 2) latitude and longitude in degrees; in other systems (N, D) metres."""
+        degrees = self.degrees()
+        return self.metres if degrees is None else degrees
+
     def degrees(self) -> NDArray[np.float64] | None:
         """(N, 2) latitude and longitude; None in other systems."""
         if self.system != GEOGRAPHIC:

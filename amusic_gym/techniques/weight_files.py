@@ -22,7 +22,6 @@ from amusic_gym.techniques.weight_readers import (
     MOST_BYTES,
     READERS,
     Arrays,
-    Reader,
     RefusalError,
     refuse_bombs,
 )
@@ -201,7 +200,11 @@ def read_weights(path: str | os.PathLike[str]) -> WeightFile:
     """
     path = Path(path)
     with open_file(path) as file:
-        read = _reader(path)
+        read = READERS.get(path.suffix.lower())
+        if read is None:
+            raise ValueError(
+                f"{path} is no weights file by its name; known endings: {', '.join(READERS)}"
+            )
         size = os.fstat(file.fileno()).st_size
         if size == 0:
             raise ValueError(f"{path} is empty; copy or download it again")
@@ -223,12 +226,3 @@ def read_weights(path: str | os.PathLike[str]) -> WeightFile:
         ) from None
     floats = {name: array for name, array in arrays.items() if array.dtype.kind == "f"}
     return WeightFile(path, hashlib.sha256(data).hexdigest(), floats, metadata)
-
-
-def _reader(path: Path) -> Reader:
-    read = READERS.get(path.suffix.lower())
-    if read is None:
-        raise ValueError(
-            f"{path} is no weights file by its name; known endings: {', '.join(READERS)}"
-        )
-    return read

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -58,7 +58,6 @@ def source_files(
     entry: Path,
     *,
     package: Path = PACKAGE,
-    without: Collection[str] = (),
     lazily: bool = True,
 ) -> tuple[Path, ...]:
     """A source file, and the files of a package that it depends on.
@@ -68,15 +67,13 @@ def source_files(
     Args:
         entry: the file.
         package: folder of the package.
-        without: dotted names of modules and subpackages that do not matter, nor what only they
-            import.
         lazily: whether imports inside functions count; else those before the first definition do.
     """
     files = [entry]
     pending = list(_imported(entry, package, lazily))
     seen: set[str] = set()
     for name in pending:  # grows while it is walked
-        if name in seen or any(f"{name}.".startswith(f"{other}.") for other in without):
+        if name in seen:
             continue
         seen.add(name)
         at = package.parent.joinpath(*name.split("."))
