@@ -31,20 +31,13 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Descriptors:
-    """Global descriptors of N images in one or several files, read in blocks.
+    """Global descriptors of N images in one or several files, read in blocks."""
 
-    Attributes:
-        source: what refusals call them: the path.
-        dimensions: D.
-        rows: (N,) int64, row of each in the source, in the order of the traverse.
-        names: of the source's rows, if it names them.
-        read: gives rows of the source, (n, D) numbers of any dtype.
-    """
-
-    source: str
-    dimensions: int
-    rows: NDArray[np.int64]
-    names: tuple[str, ...] | None
+    source: str  # what refusals call them: the path
+    dimensions: int  # D
+    rows: NDArray[np.int64]  # (N,) int64, row of each in the source, in the order of the traverse
+    names: tuple[str, ...] | None  # of the source's rows, if it names them
+    # gives rows of the source, (n, D) numbers of any dtype
     read: Callable[[NDArray[np.int64]], NDArray[Any]]
 
     def __len__(self) -> int:
@@ -78,21 +71,16 @@ class Descriptors:
 class DescriptorPair:
     """The descriptors of one technique on a map and on a run.
 
-    Args:
-        technique: its name.
-        reference: of R places.
-        query: of Q frames.
-        metric: one of `METRICS`; None: the dot product, where all descriptors are equally long and
-            every metric ranks alike.
-
     Raises:
         ValueError: for descriptors of different size, an unknown metric, or None where metrics
             differ.
     """
 
-    technique: str
-    reference: Descriptors
-    query: Descriptors
+    technique: str  # its name
+    reference: Descriptors  # of R places
+    query: Descriptors  # of Q frames
+    # one of `METRICS`; None: the dot product, where all descriptors are equally long and every
+    # metric ranks alike
     metric: str | None = None
 
     def __post_init__(self) -> None:

@@ -26,18 +26,13 @@ class GroundTruth:
     A query may have no true place: every prediction for it is wrong, and it does not count among
     the queries that recall can reach. Arrays are kept read-only.
 
-    Args:
-        indptr: (Q+1,) int64, where each query's places begin and end.
-        places: (P,) int64, rising within each query, in [0, ``references``).
-        references: R, places on the map.
-
     Raises:
         ValueError: for arrays that are not such a list.
     """
 
-    indptr: NDArray[np.int64]
-    places: NDArray[np.int64]
-    references: int
+    indptr: NDArray[np.int64]  # (Q+1,) int64, where each query's places begin and end
+    places: NDArray[np.int64]  # (P,) int64, rising within each query, in [0, ``references``)
+    references: int  # R, places on the map
     # (P,) q * R + place: rising over all queries, so one search answers for many frames.
     _keys: NDArray[np.int64] = field(init=False, repr=False)
 

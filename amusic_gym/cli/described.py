@@ -30,21 +30,13 @@ _OF_IMAGES = ("reference", "techniques", "reference_positions", "cache")
 
 
 class Described(NamedTuple):
-    """A map, ready to be driven on.
+    """A map, ready to be driven on."""
 
-    Attributes:
-        maps: T of them.
-        images: of its R places.
-        positions: R of them; None where they are not known.
-        seconds: technique's name -> seconds of a run, where they are known.
-        file: the map's folder; None for images.
-    """
-
-    maps: Sequence[DescribedMap]
-    images: ImageFolder | Thumbnails
-    positions: Positions | None
-    seconds: Mapping[str, float]
-    file: PlaceMap | None = None
+    maps: Sequence[DescribedMap]  # T of them
+    images: ImageFolder | Thumbnails  # of its R places
+    positions: Positions | None  # R of them; None where they are not known
+    seconds: Mapping[str, float]  # technique's name -> seconds of a run, where they are known
+    file: PlaceMap | None = None  # the map's folder; None for images
 
 
 def from_file(args: argparse.Namespace, stack: ExitStack) -> Described:

@@ -48,21 +48,13 @@ GRID: tuple[Parameters, ...] = (
 
 
 class Choice(NamedTuple):
-    """The cascade for a λ, and what it reached there.
+    """The cascade for a λ, and what it reached there."""
 
-    Attributes:
-        compute_weight: λ.
-        parameters: of the cascade.
-        score: correct − λ · compute per frame, with true correctness.
-        accuracy: share of frames with a true place.
-        compute: seconds / (frames · Σ seconds).
-    """
-
-    compute_weight: float
-    parameters: Parameters
-    score: float
-    accuracy: float
-    compute: float
+    compute_weight: float  # λ
+    parameters: Parameters  # of the cascade
+    score: float  # correct − λ · compute per frame, with true correctness
+    accuracy: float  # share of frames with a true place
+    compute: float  # seconds / (frames · Σ seconds)
 
 
 def make_teacher(

@@ -63,11 +63,6 @@ def images_of(folder: ImageFolder) -> Images:
 class ExtractionPlan:
     """One technique on one route, in blocks, and the keys of its results in the cache.
 
-    Attributes:
-        references: blocks of the map.
-        queries: blocks of the query.
-        identity: all that results depend on besides the images.
-
     Raises:
         ValueError: when the technique's parameters are not plain values.
     """
@@ -75,9 +70,9 @@ class ExtractionPlan:
     technique: Technique
     reference: Images
     query: Images
-    references: Sequence[Images] = field(init=False)
-    queries: Sequence[Images] = field(init=False)
-    identity: dict[str, Any] = field(init=False)
+    references: Sequence[Images] = field(init=False)  # blocks of the map
+    queries: Sequence[Images] = field(init=False)  # blocks of the query
+    identity: dict[str, Any] = field(init=False)  # all that results depend on besides the images
 
     def __post_init__(self) -> None:
         self.references, self.queries = self.reference.blocks(), self.query.blocks()

@@ -85,17 +85,11 @@ class Executor(Closing):
 
 @dataclass(frozen=True)
 class DescribeShard:
-    """Description of one block of images; the result is (B, ...).
+    """Description of one block of images; the result is (B, ...)."""
 
-    Attributes:
-        key: of the result.
-        images: up to ``BLOCK``.
-        query: whether as queries or as places of the map.
-    """
-
-    key: str
-    images: Images
-    query: bool
+    key: str  # of the result
+    images: Images  # up to ``BLOCK``
+    query: bool  # whether as queries or as places of the map
 
     @property
     def size(self) -> int:
@@ -138,19 +132,12 @@ class DescribeShard:
 
 @dataclass(frozen=True)
 class MatchShard:
-    """Matching of a block of queries with a block of the map; the result is (queries, references).
+    """Matching of a block of queries with one of the map; the result is (queries, references)."""
 
-    Attributes:
-        key: of the result.
-        queries: (B, ...) descriptors.
-        references: (B, ...) descriptors.
-        paths: B, the images of the queries.
-    """
-
-    key: str
-    queries: Stored | NDArray[np.float32]
-    references: Stored | NDArray[np.float32]
-    paths: tuple[Path, ...]
+    key: str  # of the result
+    queries: Stored | NDArray[np.float32]  # (B, ...) descriptors
+    references: Stored | NDArray[np.float32]  # (B, ...) descriptors
+    paths: tuple[Path, ...]  # B, the images of the queries
 
     @property
     def size(self) -> int:

@@ -41,21 +41,14 @@ class Dataset:
 
 @dataclass(frozen=True)
 class LoadedDataset:
-    """A data set that was found on disk: what extraction needs, and what is true.
+    """A data set that was found on disk: what extraction needs, and what is true."""
 
-    Attributes:
-        name: of the data set.
-        reference: the map, R images.
-        query: the run, Q images.
-        ground_truth: frame q is at place q, ± ``tolerance`` within the same part of the route.
-        tolerance: places.
-    """
-
-    name: str
-    reference: ImageFolder
-    query: ImageFolder
+    name: str  # of the data set
+    reference: ImageFolder  # the map, R images
+    query: ImageFolder  # the run, Q images
+    # frame q is at place q, ± ``tolerance`` within the same part of the route
     ground_truth: GroundTruth
-    tolerance: int
+    tolerance: int  # places
 
 
 _NORDLAND = "NRK's video of the Nordland railway, one of its frame sets"

@@ -30,23 +30,17 @@ _EQUATOR, _FLATTENING = 6_378_137.0, 1 / 298.257223563  # WGS84: metres of the r
 
 @dataclass(frozen=True, eq=False)
 class Positions:
-    """Where N images were taken.
+    """Where N images were taken."""
 
-    Attributes:
-        metres: (N, D) float64: easting and northing, or x, y and maybe z, or the points of
-            `from_degrees`.
-        system: `GEOGRAPHIC`, `PROJECTED` or `LOCAL`.
-        headings: (N,) degrees clockwise from north, or from whatever a local frame counts them;
-            None where they are not known.
-        zones: UTM zones that the positions are said to be in -> an image or file that says so.
-        source: the file or folder, for messages.
-    """
-
+    # (N, D) float64: easting and northing, or x, y and maybe z, or the points of `from_degrees`
     metres: NDArray[np.float64]
-    system: str
+    system: str  # `GEOGRAPHIC`, `PROJECTED` or `LOCAL`
+    # (N,) degrees clockwise from north, or from whatever a local frame counts them; None where they
+    # are not known
     headings: NDArray[np.float64] | None
+    # UTM zones that the positions are said to be in -> an image or file that says so
     zones: dict[str, str]
-    source: str
+    source: str  # the file or folder, for messages
 
     def __len__(self) -> int:
         return len(self.metres)

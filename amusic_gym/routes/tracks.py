@@ -27,18 +27,13 @@ _UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # clock times above these: 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Positions of a file, before they are those of images.
+    """Positions of a file, before they are those of images."""
 
-    Attributes:
-        positions: one per row.
-        names: of images; None where rows have none.
-        numbers: (N,) of frames, counted from 0; None where rows have none.
-        seconds: (N,), rising where they are what tells an image; None where rows have none.
-    """
-
-    positions: Positions
-    names: Sequence[str] | None = None
+    positions: Positions  # one per row
+    names: Sequence[str] | None = None  # of images; None where rows have none
+    # (N,) of frames, counted from 0; None where rows have none
     numbers: NDArray[np.float64] | None = None
+    # (N,), rising where they are what tells an image; None where rows have none
     seconds: NDArray[np.float64] | None = None
 
     def of_images(self, folder: ImageFolder) -> Positions:

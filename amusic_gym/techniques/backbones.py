@@ -35,19 +35,12 @@ _FIRST_ALEXNET = "layers.12.weights.0"
 
 @dataclass(frozen=True)
 class Backbone:
-    """A convolutional network and the colours it expects.
+    """A convolutional network and the colours it expects."""
 
-    Attributes:
-        layers: (B, 3, H, W) -> (B, C, h, w), none below 0.
-        channels: C.
-        mean: of red, green and blue in 0–255; is subtracted.
-        deviation: of red, green and blue in 0–255; divides.
-    """
-
-    layers: nn.Module
-    channels: int
-    mean: Triple
-    deviation: Triple
+    layers: nn.Module  # (B, 3, H, W) -> (B, C, h, w), none below 0
+    channels: int  # C
+    mean: Triple  # of red, green and blue in 0–255; is subtracted
+    deviation: Triple  # of red, green and blue in 0–255; divides
 
     def features(self, image: Image) -> Tensor:
         """Feature map (1, C, h, w) of an image in its own size.

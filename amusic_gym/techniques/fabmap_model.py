@@ -35,19 +35,12 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class ChowLiuTree:
-    """Words that depend on one other word each.
+    """Words that depend on one other word each."""
 
-    Attributes:
-        parent: (V,) the word that each depends on; a root is its own.
-        p: (V,) probability of seeing a word.
-        p1: (V,) likewise where its parent is seen.
-        p0: (V,) likewise where its parent is not seen.
-    """
-
-    parent: NDArray[np.int64]
-    p: Floats
-    p1: Floats
-    p0: Floats
+    parent: NDArray[np.int64]  # (V,) the word that each depends on; a root is its own
+    p: Floats  # (V,) probability of seeing a word
+    p1: Floats  # (V,) likewise where its parent is seen
+    p0: Floats  # (V,) likewise where its parent is not seen
 
     @classmethod
     def learn(cls, seen: Bools) -> ChowLiuTree:

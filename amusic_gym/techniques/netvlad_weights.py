@@ -61,19 +61,12 @@ PYTORCH = (
 
 @dataclass(frozen=True)
 class _Family:
-    """How one family's file is read.
+    """How one family's file is read."""
 
-    Attributes:
-        file: its arrays, in the shapes of our modules.
-        name: our layer's name -> the file's.
-        descriptor_major: the order of flattening.
-        preparation: what its input is.
-    """
-
-    file: WeightFile
-    name: Callable[[str], str]
-    descriptor_major: bool
-    preparation: Preparation
+    file: WeightFile  # its arrays, in the shapes of our modules
+    name: Callable[[str], str]  # our layer's name -> the file's
+    descriptor_major: bool  # the order of flattening
+    preparation: Preparation  # what its input is
 
 
 def load_netvlad(file: WeightFile) -> tuple[NetVLADNetwork, Preparation]:

@@ -40,19 +40,12 @@ PRETRAINED = Path(__file__).parent / "pretrained"
 
 @dataclass(frozen=True)
 class WeightFile:
-    """What a weights file holds.
+    """What a weights file holds."""
 
-    Attributes:
-        path: where it was read from.
-        digest: SHA-256 of its bytes, 64 hexadecimal digits.
-        arrays: name -> array of floating point numbers, in the shape the file gives it.
-        metadata: texts that the file holds besides.
-    """
-
-    path: Path
-    digest: str
-    arrays: Arrays
-    metadata: Mapping[str, str]
+    path: Path  # where it was read from
+    digest: str  # SHA-256 of its bytes, 64 hexadecimal digits
+    arrays: Arrays  # name -> array of floating point numbers, in the shape the file gives it
+    metadata: Mapping[str, str]  # texts that the file holds besides
 
     def description(self, technique: str) -> dict[str, Any] | None:
         """What a file in our layout says of itself; None for a file of another origin.

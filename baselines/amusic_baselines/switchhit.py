@@ -39,16 +39,11 @@ UNSEEN = 1e-9  # density below which a score counts as never seen
 
 @dataclass(frozen=True)
 class Experience:
-    """What labelled routes say about T techniques.
+    """What labelled routes say about T techniques."""
 
-    Attributes:
-        score: (G,) rising z-scores of a row's best place.
-        p_right: (T, G) chance that a technique is right, given such a score.
-        helps: (T, T) share of the frames where technique i is wrong on which technique j is right.
-    """
-
-    score: NDArray[np.float64]
-    p_right: NDArray[np.float64]
+    score: NDArray[np.float64]  # (G,) rising z-scores of a row's best place
+    p_right: NDArray[np.float64]  # (T, G) chance that a technique is right, given such a score
+    # (T, T) share of the frames where technique i is wrong on which technique j is right
     helps: NDArray[np.float64]
 
     @classmethod
