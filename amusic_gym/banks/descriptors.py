@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from amusic_gym.banks.scores import as_float32, check_rows
 from amusic_gym.utils import reading
 from amusic_gym.utils.names import suggest
+from amusic_gym.utils.optional import optional
 
 H5_SUFFIXES = (".h5", ".hdf5")
 H5_KEY = "global_descriptor"
@@ -247,7 +248,7 @@ def from_h5(path: Path, group: str = "") -> Descriptors:
     Raises:
         ValueError: without h5py; when it is no such file, or has no such group.
     """
-    h5py = h5py_for(str(path))
+    h5py = optional("h5py", str(path), "the package h5py", "hdf5")
     reading.open_file(path).close()  # refuses what is no file
     found: dict[str, tuple[tuple[int, ...], np.dtype[Any]]] = {}
 
@@ -278,21 +279,6 @@ def from_h5(path: Path, group: str = "") -> Descriptors:
     dimensions = found[names[0]][0][0]
     source = f"{path}/{group}" if group else str(path)
     return Descriptors(source, dimensions, np.arange(len(names)), tuple(names), read)
-
-
-def h5py_for(what: str) -> Any:
-    """The package h5py, an optional part.
-
-    Raises:
-        ValueError: where it is not installed, with the command.
-    """
-    try:
-        import h5py
-    except ImportError:
-        raise ValueError(
-            f'{what} needs the package h5py; install it: pip install "amusic-gym[hdf5]"'
-        ) from None
-    return h5py
 
 
 def _stack(each: Iterator[tuple[str, NDArray[Any]]], count: int, dimensions: int) -> Floats:

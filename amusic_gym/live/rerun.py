@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from typing import Any
 
@@ -10,8 +9,7 @@ import numpy as np
 
 from amusic_gym.live.drives import FrameResult
 from amusic_gym.utils.closing import Closing
-
-INSTALL = 'pip install "amusic-gym[rerun]"'
+from amusic_gym.utils.optional import optional
 
 PATIENCE = 3.0
 """Seconds within which a viewer must answer."""
@@ -32,12 +30,7 @@ class Recording(Closing):
     """
 
     def __init__(self, target: str) -> None:
-        try:
-            self._rerun: Any = importlib.import_module("rerun")
-        except ImportError:
-            raise ValueError(
-                f"--rerun needs the package rerun-sdk; install it: {INSTALL}"
-            ) from None
+        self._rerun = optional("rerun", "--rerun", "the package rerun-sdk", "rerun")
         self._stream = self._rerun.RecordingStream("amusic-gym drive")
         if target == "connect":
             self._stream.connect_grpc()

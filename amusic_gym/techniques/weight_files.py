@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors.numpy import save
 
 from amusic_gym.techniques.weight_readers import (
     MOST_BYTES,
@@ -158,6 +157,8 @@ def write_weights(
     Raises:
         ValueError: for a name that does not end in ``.safetensors``.
     """
+    from safetensors.numpy import save
+
     path = Path(path)
     if path.suffix != ".safetensors":
         raise ValueError(f"{path} should end in .safetensors; rename it")
