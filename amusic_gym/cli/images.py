@@ -47,6 +47,14 @@ def run_of(args: argparse.Namespace, stack: ExitStack) -> Traverse:
     return traverse(args, args.query, stack, args.query_positions, -1)
 
 
+def thinning(args: argparse.Namespace) -> dict[str, Any]:
+    """Which frames of a video ``--every`` or ``--fps`` take."""
+    if args.every is not None and args.fps is not None:
+        raise ValueError("--every and --fps both thin a video; give one of the two")
+    every = 1 if args.every is None else whole("--every", args.every, 1)
+    return {"every": every, "fps": args.fps}
+
+
 def traverse(
     args: argparse.Namespace,
     path: str | os.PathLike[str],
@@ -55,20 +63,16 @@ def traverse(
     side: int = 0,
 ) -> Traverse:
     """The images of a folder or a video, thinned and with positions as the options say."""
-    metres = args.every_metres
-    if args.every is not None and args.fps is not None:
-        raise ValueError("--every and --fps both thin a video; give one of the two")
+    metres, thinned = args.every_metres, thinning(args)
     if metres is not None and positions is None:
         raise ValueError(f"--every-metres needs the positions of {path}; give a file of them")
     if not Path(path).is_file():
         return _thinned(image_folder(args, path, side), positions, metres)
     if args.order or args.skip_damaged or positions == EXIF:
         raise ValueError(f"{path} is a video; --order, --skip-damaged and exif are of image files")
-    every = 1 if args.every is None else whole("--every", args.every, 1)
     track = None if positions is None else read_track(positions)
-    thinned: dict[str, Any] = {"every": every, "fps": args.fps, "metres": metres}
     with Progress(True).bar(Path(path).name, None, "frames") as advance:
-        frames = frames_of(path, track=track, advance=advance, **thinned)
+        frames = frames_of(path, track=track, metres=metres, advance=advance, **thinned)
         return Traverse(*stack.enter_context(frames))
 
 

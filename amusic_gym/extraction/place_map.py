@@ -33,7 +33,6 @@ from amusic_gym.utils import storage
 from amusic_gym.utils.names import suggest
 
 _TIMED = 5  # images that a technique is timed with
-_READ_ATTEMPTS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,19 +88,16 @@ class PlaceMap:
                 parameters, weights or code are others than those that described the map.
         """
         path = Path(path)
-        for _ in range(_READ_ATTEMPTS):
-            with storage.opened_folder(path) as folder:
-                try:
-                    contents = map_files.read(path, verify=verify)
-                    made = _techniques(path, contents.techniques, techniques, weights or {})
-                    found = cls._of(path, contents, made, threads)
-                except (FileNotFoundError, ValueError):
-                    if not storage.was_replaced(path, folder):
-                        raise
-                    continue
-                if not storage.was_replaced(path, folder):  # else: once more, from the new one
-                    return found
-        raise ValueError(f"map {path} is being rewritten all the time; load it when that is over")
+
+        def read(folder: int) -> PlaceMap:
+            contents = map_files.read(path, verify=verify)
+            made = _techniques(path, contents.techniques, techniques, weights or {})
+            found = cls._of(path, contents, made, threads)
+            if storage.was_replaced(path, folder):
+                raise FileNotFoundError(path)
+            return found
+
+        return storage.read_whole(path, "map", read)
 
     @classmethod
     def _of(

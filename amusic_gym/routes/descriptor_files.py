@@ -62,15 +62,8 @@ def named(path: Path, names: Sequence[str]) -> ImageFolder:
         what = "names an image twice" if names else "names no image"
         raise ValueError(f"{path} {what}; give each image's name once")
     made = object.__new__(ImageFolder)
-    vars(made).update(
-        path=path,
-        paths=tuple(path / name.lstrip("/") for name in names),
-        parts=(len(names),),
-        repeats=(),
-        changes=(),
-        complete=None,
-        kept=(),
-    )
+    paths = tuple(path / name.lstrip("/") for name in names)
+    vars(made).update(path=path, paths=paths, parts=(len(names),))
     return made
 
 

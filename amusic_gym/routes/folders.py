@@ -72,10 +72,10 @@ class ImageFolder:
     path: Path
     paths: tuple[Path, ...] = field(repr=False)
     parts: tuple[int, ...]
-    repeats: tuple[tuple[int, int], ...] = field(repr=False)
-    changes: tuple[Change | None, ...] = field(repr=False)
-    complete: ImageFolder | None = field(repr=False)
-    kept: tuple[int, ...] = field(repr=False)
+    repeats: tuple[tuple[int, int], ...] = field(default=(), repr=False)
+    changes: tuple[Change | None, ...] = field(default=(), repr=False)
+    complete: ImageFolder | None = field(default=None, repr=False)
+    kept: tuple[int, ...] = field(default=(), repr=False)
 
     def __init__(
         self,
@@ -95,15 +95,7 @@ class ImageFolder:
         taken = _take(found, folder, first, step, count)
         paths = tuple(path for path, _ in taken)
         repeats = _repeats(taken)
-        vars(self).update(
-            path=folder,
-            paths=paths,
-            parts=(len(paths),),
-            repeats=repeats,
-            changes=(),
-            complete=None,
-            kept=(),
-        )
+        vars(self).update(path=folder, paths=paths, parts=(len(paths),), repeats=repeats)
         doubts = [*_apart(paths, folder, unread), *_doubts(paths, repeats, order is None)]
         for sentence in doubts:
             warnings.warn(f"{folder}: {sentence}", UserWarning, stacklevel=2)

@@ -20,14 +20,16 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from amusic_gym.utils.reading import read_json
+
+T = TypeVar("T")
 
 _PREFIX = ".amusic-"
 _UNFINISHED = f"{_PREFIX}*.tmp*"
 _WRITTEN = f"{_PREFIX}written.json"
-_OPEN_ATTEMPTS = 20
+_ATTEMPTS = 20
 _PATIENCE = 2.0
 """Seconds to wait for a lock without a word."""
 
@@ -50,7 +52,7 @@ def opened_folder(path: Path) -> Iterator[int]:
         ValueError: when it is a file.
     """
     flags = os.O_RDONLY | os.O_DIRECTORY
-    for last in (*[False] * _OPEN_ATTEMPTS, True):
+    for last in (*[False] * _ATTEMPTS, True):
         try:
             descriptor = os.open(path, flags)
             break
@@ -66,6 +68,28 @@ def opened_folder(path: Path) -> Iterator[int]:
         yield descriptor
     finally:
         os.close(descriptor)
+
+
+def read_whole(path: Path, kind: str, read: Callable[[int], T]) -> T:
+    """What ``read`` gives of a folder, given its descriptor; again where it is replaced meanwhile.
+
+    Args:
+        path: the folder.
+        kind: of it, for messages.
+        read: fails with a FileNotFoundError or ValueError for what is not whole.
+
+    Raises:
+        FileNotFoundError: when there is no such folder; whatever else ``read`` raises.
+        ValueError: likewise; for a folder that is replaced all the time.
+    """
+    for _ in range(_ATTEMPTS):
+        with opened_folder(path) as folder:
+            try:
+                return read(folder)
+            except (FileNotFoundError, ValueError):
+                if not was_replaced(path, folder):  # else: once more, from the new one
+                    raise
+    raise ValueError(f"{kind} {path} is being rewritten all the time; load it when that is over")
 
 
 def was_replaced(path: Path, descriptor: int) -> bool:
