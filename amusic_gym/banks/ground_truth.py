@@ -144,14 +144,11 @@ class GroundTruth:
         return self.places[self.indptr[query] : self.indptr[query + 1]]
 
     def correct(self, predictions: ArrayLike, frames: ArrayLike | None = None) -> NDArray[np.bool_]:
-        """Whether each predicted place is a true one; -1 (no prediction) never is.
+        """Whether each predicted place is a true one, (n,); -1 (no prediction) never is.
 
         Args:
             predictions: (n,) places in [0, R), or -1.
             frames: (n,) the query frame of each; None: one prediction for every frame in order.
-
-        Returns:
-            (n,) boolean.
         """
         places, queries = self._pairs(predictions, frames)
         if not len(self._keys):
@@ -192,11 +189,10 @@ class GroundTruth:
 
         A run that the map's end cuts off has its middle where that of a whole one would be.
 
+        -1 where the query has no true place.
+
         Args:
             predictions: (Q,) places in [0, R), or -1.
-
-        Returns:
-            (Q,) int64: -1 where the query has no true place.
         """
         places, queries = self._pairs(predictions, None)
         result = np.full(len(places), -1)

@@ -130,10 +130,7 @@ def describe(
 
 
 def match(plan: ExtractionPlan, cache: Cache, workers: Workers, progress: Progress) -> int:
-    """Put the scores of all blocks into the cache; describe what that needs.
-
-    Returns:
-        How many pairs of a query and a reference had to be matched.
+    """Put the scores of all blocks into the cache; gives how many pairs had to be matched.
 
     Raises:
         ValueError: as :func:`describe`; for scores that are not finite numbers.

@@ -133,9 +133,6 @@ def describe_map(
         threads: see :class:`DescribedMap`.
         progress: show a bar on a terminal, or one line elsewhere.
 
-    Returns:
-        The map, in blocks as extraction matches them.
-
     Raises:
         FileNotFoundError: for an image that is not there.
         ValueError: for one that cannot be read or described.

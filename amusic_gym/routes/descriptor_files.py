@@ -68,16 +68,13 @@ def named(path: Path, names: Sequence[str]) -> ImageFolder:
 
 
 def read_descriptors(path: _Path, images: ImageFolder | None, side: str) -> Descriptors:
-    """The descriptors of a traverse.
+    """The descriptors of a traverse, one for each image, in its order.
 
     Args:
         path: a file or folder of one of the layouts; below an HDF5 file, a group: FILE.h5/GROUP.
         images: the traverse; None: the natural order of the names in the file, or, without names,
             the order of its rows.
         side: "reference" or "query", for a folder that holds both.
-
-    Returns:
-        One for each image, in the order of the traverse.
 
     Raises:
         FileNotFoundError: when there is no such file or folder.

@@ -64,10 +64,7 @@ def source_files(
 
     A parent package's ``__init__.py`` is not among them unless its names are imported from it.
 
-    Args:
-        entry: the file.
-        package: folder of the package.
-        lazily: whether imports inside functions count; else those before the first definition do.
+    With ``lazily`` imports inside functions count, else those before the first definition.
     """
     files = [entry]
     pending = list(_imported(entry, package, lazily))

@@ -18,11 +18,6 @@ def suggest(kind: str, value: object, valid: Iterable[str]) -> str:
 
     >>> suggest("technique", "HGO", ["HOG", "CALC"])
     "unknown technique 'HGO': did you mean 'HOG'? valid: HOG, CALC"
-
-    Args:
-        kind: what is named, for example ``"technique"``.
-        value: what was given.
-        valid: the names there are, in the order to list them.
     """
     names = list(valid)
     near = nearest(value, names) if isinstance(value, str) else None

@@ -84,9 +84,7 @@ def read_array(path: str | os.PathLike[str]) -> NDArray[Any]:
 def open_file(path: Path, folder: int | None = None) -> BufferedReader:
     """The regular file ``path`` open for reading: a pipe would be waited for, a device never end.
 
-    Args:
-        path: the file.
-        folder: descriptor of the folder to find its name in; None: wherever ``path`` says.
+    Its name is looked for in the folder of the descriptor ``folder``; None: where ``path`` says.
 
     Raises:
         FileNotFoundError: when there is no such file.

@@ -201,11 +201,6 @@ def keep_only(folder: Path, kind: str, files: Iterable[str | Path]) -> None:
     """Remove the files of a kind that an earlier run wrote to ``folder`` and this one did not.
 
     Only what was named in an earlier call is ever removed.
-
-    Args:
-        folder: with `_WRITTEN`, which remembers what was written.
-        kind: of files; others stay.
-        files: of this run, in ``folder`` or below.
     """
     path = folder / _WRITTEN
     written: dict[str, Any] = {}

@@ -65,11 +65,7 @@ def sequence_start(ratios: list[float]) -> int:
 
 
 def viterbi(emissions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Best path through log emissions (L, R).
-
-    Returns:
-        (L, R) logarithm of the best path to each place at each frame, and the best path (L,).
-    """
+    """Logarithms (L, R) of the best paths through log emissions (L, R), and the best one (L,)."""
     unexpected = math.log(EPSILON)
     values = emissions.copy()
     for before, now in zip(values[:-1], values[1:], strict=True):
