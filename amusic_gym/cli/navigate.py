@@ -159,7 +159,8 @@ def main(args: argparse.Namespace) -> None:
         pictures = Pictures(route, f"{route.name}, {policy_label(args.policy)}")
         trace = stack.enter_context(TraceWriter(args.trace, route)) if args.trace else None
         drive = _drive(policy, route, correction, args.seed, keep)
-        answers = _answers(described, args.min_p)
+        images = described.images if described.file is None else described.file
+        answers = Answers(getattr(images, "names", None), described.positions, args.min_p)
         journal = stack.enter_context(Journal(route, answers, quiet=args.quiet or bool(lines)))
         for result in islice(drive, args.frames):
             publisher.write(result, answers, journal.write(result))
@@ -271,12 +272,6 @@ def _warm_up(
     )
     for _ in _drive(policy, short, correction, seed=0):
         pass
-
-
-def _answers(described: Described, min_p: float | None) -> Answers:
-    """What is told of a frame."""
-    images = described.images if described.file is None else described.file
-    return Answers(getattr(images, "names", None), described.positions, min_p)
 
 
 def _drive(

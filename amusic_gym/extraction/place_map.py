@@ -28,7 +28,7 @@ from amusic_gym.extraction.seconds import known_cost, measure_cost
 from amusic_gym.extraction.thumbnails import Thumbnails
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.positions import Positions
-from amusic_gym.techniques import Descriptor, Image, Technique, make_technique
+from amusic_gym.techniques import Image, Technique, make_technique
 from amusic_gym.utils import storage
 from amusic_gym.utils.names import suggest
 
@@ -225,7 +225,7 @@ def append_to_map(
         map_files.joined(pair) for pair in zip(there.descriptors, described.blocks, strict=True)
     ]
     costs = [
-        measure_cost(one, described.samples, [aligned(each) for each in held[:1]], _places(held))
+        measure_cost(one, described.samples, [aligned(held[0])], sum(map(len, held)))
         for one, held in zip(made, blocks, strict=True)
     ]
     about = [
@@ -285,10 +285,6 @@ class _Described:
             thumbnails = Thumbnails.of(images, advance)
         samples = [images.read(at) for at in range(min(_TIMED, len(images)))]
         return cls(blocks, costs, thumbnails, samples)
-
-
-def _places(blocks: Sequence[Descriptor]) -> int:
-    return sum(map(len, blocks))
 
 
 def _made(given: str | Technique, weights: Mapping[str, Path]) -> tuple[str, Technique]:

@@ -88,7 +88,8 @@ class _Handler(BaseHTTPRequestHandler):
         """Answer a request."""
         answers, path = self.server.answers, self.path.partition("?")[0]
         if path == "/":
-            self._send(200, "text/html; charset=utf-8", _page())
+            page = files("amusic_gym.live").joinpath("page.html").read_bytes()
+            self._send(200, "text/html; charset=utf-8", page)
         elif path == "/last":
             last = answers.last()
             self._send(200 if last else 204, "application/json", last)
@@ -113,7 +114,3 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         """Print nothing: the drive has the terminal."""
-
-
-def _page() -> bytes:
-    return files("amusic_gym.live").joinpath("page.html").read_bytes()

@@ -20,7 +20,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from amusic_gym.techniques.netvlad_weights import VGG16_LAYERS, matlab_convolutions, matlab_mean
+from amusic_gym.techniques.netvlad_weights import (
+    VGG16_LAYERS,
+    matlab_convolutions,
+    matlab_layer,
+    matlab_mean,
+)
 from amusic_gym.techniques.networks import conv_layers, load_layers
 from amusic_gym.techniques.preparation import Preparation, Triple, check_image
 from amusic_gym.techniques.protocol import Image
@@ -79,7 +84,7 @@ def load_backbone(file: WeightFile) -> Backbone:
 
 def _vgg16(file: WeightFile, mean: Triple, deviation: Triple, *, pool: bool) -> Backbone:
     """VGG16; ``pool``: with the pooling after its last ReLU."""
-    layer = partial(_layer, file, "layers" if pool else "")
+    layer = partial(_matlab_layer, file) if pool else partial(file.layer, "R-MAC")
     stages = tuple(
         tuple(len(layer(f"{number}.weight", None, None, 3, 3)) for number in stage)
         for stage in VGG16_LAYERS
@@ -94,7 +99,7 @@ def _vgg16(file: WeightFile, mean: Triple, deviation: Triple, *, pool: bool) -> 
 def _alexnet(file: WeightFile, mean: Triple) -> Backbone:
     """Caffe's AlexNet up to pool5, its layers numbered as MatConvNet's."""
     widths = [3]
-    layer = partial(_layer, file, "layers")
+    layer = partial(_matlab_layer, file)
     for number, size in ((0, 11), (4, 5), (8, 3), (10, 3), (12, 3)):
         widths.append(len(layer(f"{number}.weight", None, None, size, size)))
     norm, pool = partial(nn.LocalResponseNorm, 5, 1e-4, 0.75, 1.0), partial(nn.MaxPool2d, 3, 2)
@@ -111,9 +116,5 @@ def _alexnet(file: WeightFile, mean: Triple) -> Backbone:
     return Backbone(load_layers(build, layer), widths[-1], mean, (1.0, 1.0, 1.0))
 
 
-def _layer(file: WeightFile, matlab: str, name: str, *shape: int | None) -> NDArray[np.float32]:
-    """A layer by its number in the network, ``28.weight``, under the file's name."""
-    if matlab:
-        number, part = name.split(".")
-        name = f"{matlab}.{number}.weights.{'0' if part == 'weight' else '1'}"
-    return file.layer("R-MAC", name, *shape)
+def _matlab_layer(file: WeightFile, name: str, *shape: int | None) -> NDArray[np.float32]:
+    return file.layer("R-MAC", matlab_layer(name), *shape)

@@ -152,7 +152,12 @@ def _matlab(file: WeightFile) -> _Family | None:
 def _matlab_name(ours: str) -> str:
     if not ours.startswith("backbone"):
         return MATLAB_NAMES.get(ours, ours)
-    _, number, part = ours.split(".")
+    return matlab_layer(ours.removeprefix("backbone."))
+
+
+def matlab_layer(name: str) -> str:
+    """MatConvNet's name of a layer's weights or bias: ``28.weight`` -> ``layers.28.weights.0``."""
+    number, part = name.split(".")
     return f"layers.{number}.weights.{'0' if part == 'weight' else '1'}"
 
 

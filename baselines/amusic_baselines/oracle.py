@@ -49,18 +49,16 @@ class Oracle:
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
         """One bit: the cheapest technique that will be right."""
         frame = int(info["frame"][0]) + 1
-        chosen = self._choose(frame)
+        right = (
+            technique
+            for technique in self._order
+            if self.bank.truth.is_true(self._foresight.place(technique, frame), frame)
+        )
+        chosen = next(right, self._order[0])
         self._foresight.take(chosen, frame)
         actions = np.zeros((1, len(self._order)), np.bool_)
         actions[0, chosen] = True
         return actions
-
-    def _choose(self, frame: int) -> int:
-        for technique in self._order:
-            place = self._foresight.place(technique, frame)
-            if self.bank.truth.correct(np.array([place]), np.array([frame]))[0]:
-                return int(technique)
-        return int(self._order[0])
 
 
 class _Diagonals:
