@@ -14,6 +14,7 @@ from typing import Any
 from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.image_truth import by_index
+from amusic_gym.routes.positions import Positions
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import suggest
 
@@ -40,15 +41,15 @@ class Dataset:
 
 
 @dataclass(frozen=True)
-class LoadedDataset:
-    """A data set that was found on disk: what extraction needs, and what is true."""
+class LoadedRoute:
+    """Two traverses that were found on disk, and what is true: what extraction needs."""
 
-    name: str  # of the data set
     reference: ImageFolder  # the map, R images
     query: ImageFolder  # the run, Q images
-    # frame q is at place q, ± ``tolerance`` within the same part of the route
     ground_truth: GroundTruth
-    tolerance: int  # places
+    tolerance: int | None  # places; None: as the ground truth lists them
+    name: str = ""
+    positions: tuple[Positions, Positions] | None = None  # of the map and of the run, where known
 
 
 _NORDLAND = "NRK's video of the Nordland railway, one of its frame sets"
@@ -109,7 +110,7 @@ def load_dataset(
     images: int | None = None,
     first: int | None = None,
     step: int = 1,
-) -> LoadedDataset:
+) -> LoadedRoute:
     """The two traverses of a data set, checked, with what is true.
 
     A folder must hold exactly as many images as the paper used, because the paper does not say
@@ -159,7 +160,7 @@ def load_dataset(
         traverses.append(found)
     reference, query = traverses
     truth = by_index(reference, query, dataset.tolerance)
-    return LoadedDataset(name, reference, query, truth, dataset.tolerance)
+    return LoadedRoute(reference, query, truth, dataset.tolerance, name)
 
 
 def _needs(name: str, root: str | os.PathLike[str], images: int) -> str:

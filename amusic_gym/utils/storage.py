@@ -73,14 +73,8 @@ def opened_folder(path: Path) -> Iterator[int]:
 def read_whole(path: Path, kind: str, read: Callable[[int], T]) -> T:
     """What ``read`` gives of a folder, given its descriptor; again where it is replaced meanwhile.
 
-    Args:
-        path: the folder.
-        kind: of it, for messages.
-        read: fails with a FileNotFoundError or ValueError for what is not whole.
-
-    Raises:
-        FileNotFoundError: when there is no such folder; whatever else ``read`` raises.
-        ValueError: likewise; for a folder that is replaced all the time.
+    ``read`` fails with a FileNotFoundError or ValueError for what is not whole. A folder that is
+    replaced all the time is refused with a ValueError, called by its ``kind``.
     """
     for _ in range(_ATTEMPTS):
         with opened_folder(path) as folder:
