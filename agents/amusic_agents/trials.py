@@ -11,6 +11,7 @@ from amusic_agents.config import TrainingConfig
 from amusic_agents.evaluation import Evaluation
 from amusic_agents.run_folder import CONFIG
 from amusic_gym.extraction.shards import Advance, nothing
+from amusic_gym.utils.optional import optional
 
 Learn = Callable[[Path, TrainingConfig, bool, Callable[[Evaluation], None]], object]
 """Trains in a run folder, from its last checkpoint if True, and tells of every evaluation."""
@@ -101,9 +102,6 @@ def load_optuna() -> Any:
     Raises:
         ValueError: if it is not installed.
     """
-    try:
-        import optuna
-    except ImportError:
-        raise ValueError('tuning needs Optuna: pip install "amusic-gym[tune]"') from None
+    optuna = optional("optuna", "tuning", "Optuna", "tune")
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     return optuna

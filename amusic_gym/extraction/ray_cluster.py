@@ -24,6 +24,7 @@ from amusic_gym.extraction.shards import (
     array_of,
     nothing,
 )
+from amusic_gym.utils.optional import optional
 
 
 class RayCluster(Executor):
@@ -41,13 +42,7 @@ class RayCluster(Executor):
     """
 
     def __init__(self, address: str | None = None) -> None:
-        try:
-            import ray
-        except ImportError:
-            raise ValueError(
-                "the executor 'ray' needs Ray: pip install \"amusic-gym[ray]\""
-            ) from None
-        self._ray: Any = ray
+        self._ray = optional("ray", "the executor 'ray'", "Ray", "ray")
         self._address = address
         self._connected = False
 
