@@ -1,4 +1,4 @@
-"""The figures of a study: what the compute buys, as recorded and re-timed, and on every route."""
+"""The figures of a study: what the compute buys under every motion, over all routes and on each."""
 
 from __future__ import annotations
 
