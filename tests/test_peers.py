@@ -46,9 +46,7 @@ SPECS = [
 ]
 ALL_ROWS = ("mpf", "hmpf", "dynmpf", "plurality", "borda", "hmm")  # run every technique, always
 PEERS = [
-    spec
-    for spec in SPECS
-    if spec.partition(":")[0] in (*ALL_ROWS, "switchhit", "xu", "lazygraph")
+    spec for spec in SPECS if spec.partition(":")[0] in (*ALL_ROWS, "switchhit", "xu", "lazygraph")
 ]
 
 

@@ -1,8 +1,8 @@
 """Study policies on score banks, over motions, seeds and λ; it may take hours.
 
 POLICY: as compare takes them; POLICY@STATISTIC runs one under another statistic, for an ablation.
-Seed s moves along every bank in its own way, is the seed of policies that draw, and the s-th run of a
---selector. Every finished cell is kept in DIR/cells: after Ctrl-C or a kill the same command goes
+Seed s moves along every bank in its own way, is the seed of policies that draw, and the s-th run of
+a --selector. Every finished cell is kept in DIR/cells: after Ctrl-C or a kill the same command goes
 on where it was, and a longer one computes only what is new or changed. Writes DIR/study.json,
 tables.md, the figures and a page, index.html.
 """
