@@ -9,7 +9,10 @@ import pytest
 from amusic_gym.evaluation.documents import altered, filled, outside
 
 DOCS = Path(__file__).parent.parent / "docs"
-EMPTY = "# Title\n\n<!-- made by: a -->\n<!-- end -->\n\nText.\n\n<!-- made by: b -->\nold\n<!-- end -->\n"
+EMPTY = (
+    "# Title\n\n<!-- made by: a -->\n<!-- end -->\n\nText.\n\n"
+    "<!-- made by: b -->\nold\n<!-- end -->\n"
+)
 
 
 def test_a_block_takes_its_text_and_the_rest_stays():

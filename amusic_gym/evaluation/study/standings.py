@@ -50,8 +50,8 @@ def where_ahead(findings: Findings, condition: str) -> list[str]:
         others = max((row["auc_at"][-1] for row in here if row["family"] != PEER), default=0.0)
         for row in here:
             if row["family"] == PEER and row["auc_at"][-1] > others:
-                reached = f"{three(row['auc_at'][-1])}, the best other {three(others)}"
-                peers.setdefault(row["front"], []).append(f"{route['bank']} ({reached})")
+                said = f"{three(row['auc_at'][-1])}, the best other {three(others)}"
+                peers.setdefault(row["front"], []).append(f"{route['bank']} ({said})")
     wins = "; ".join(f"{_bold(name)} on {_listed(places)}" for name, places in peers.items())
     return [
         f"Highest mean AUC at no more compute, {CONDITIONS[condition]}: {'; '.join(led)}.",
