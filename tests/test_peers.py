@@ -254,7 +254,7 @@ def test_policies_that_need_ground_truth_are_marked():
     assert parse("switchhit:0.5").label == "SwitchHit-style † (0.5)"
     assert parse("oracle").label == "oracle †"
     assert parse("mpf:10").label == "MPF (10)"
-    assert parse("ppo:switchhit").label == "selector switchhit"
+    assert parse("ppo:switchhit").label == "selector (ppo:switchhit)"
 
 
 # ---- what they share -----------------------------------------------------------------------------

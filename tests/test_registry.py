@@ -164,7 +164,7 @@ def test_an_installed_package_brings_policies_by_an_entry_point(tmp_path):
     code = (
         "import sys\nfrom amusic_gym.policies.registry import parse\n"
         "assert parse('theirs').policy.family == 'peer'\n"
-        "assert parse('ppo').label == 'selector'\n"
+        "assert parse('ppo').label == 'selector (ppo)'\n"
         "assert 'torch' not in sys.modules and 'matplotlib' not in sys.modules\n"
     )
     path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
