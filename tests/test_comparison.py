@@ -19,7 +19,6 @@ from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation import figures, store
 from amusic_gym.evaluation.audit import audit
 from amusic_gym.evaluation.columns import COLUMNS
-
 from amusic_gym.evaluation.comparison import (
     SHOWN,
     Comparison,
