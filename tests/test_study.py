@@ -618,7 +618,7 @@ def test_matches_are_the_best_of_each_kind_at_no_more_compute():
     findings = made_up(
         {
             "music": [(0.1, 0.6), (0.3, 0.9), (1.0, 0.95)],
-            "cascade": [(0.2, 0.8), (0.25, 0.79)],
+            "cascade": [(0.2, 0.7998), (0.25, 0.79), (0.28, 0.8)],
             "voi:idle": [(0.3, 0.8004)],
             "periodic:2": [(0.4, 1.0)],
             "peer": [(0.1, 1.0)],
@@ -644,6 +644,7 @@ def test_matches_are_the_best_of_each_kind_at_no_more_compute():
     assert found[1.0, "periodic"]["difference"] is None
     assert ahead(subset) is False
     assert ahead(found[1.0, "cascade"]) is None  # equal
+    assert found[1.0, "cascade"]["rival_compute"] == 0.2  # the cheaper of equals
     assert ahead(found[1.0, "may idle"]) is None  # to three digits
     (shown,) = (t for t in tables(findings) if t.title.startswith("The best of each kind"))
     dear = ["PPO", "1", "30.0 %", "0.800", "", "0.900 > (MuSIC, λ 1)", "0.800 = (cascade, λ 0)"]
