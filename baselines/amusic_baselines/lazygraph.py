@@ -106,7 +106,7 @@ class LazyGraph:
     def _confidence(self) -> float:
         """Mean similarity along the last nodes of the best path."""
         _, row, place = self._best
-        similarities = []
+        similarities: list[float] = []
         while row >= 0 and len(similarities) < RECENT:
             similarities.append(1.0 / self._costs[row][place])
             row, place = row - 1, self._paths[row][place][1]
