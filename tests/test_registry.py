@@ -20,13 +20,16 @@ from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.policies import registry
 from amusic_gym.policies.protocol import Context, Selector
 from amusic_gym.policies.registry import (
+    CASCADE,
     FAMILIES,
     FIXED,
     IDLE,
     LEARNED,
     MARK,
     PEER,
+    VARIANT,
     RegisteredPolicy,
+    front_of,
     make_policy,
     parse,
     policies,
@@ -113,6 +116,13 @@ def test_a_family_s_front_looks_like_nothing_else_there():
     fronts = [each for each in FAMILIES.values() if each.best]
     assert len({each.colour for each in fronts}) == len(fronts)
     assert all(each.front for each in fronts)
+
+
+def test_the_settings_of_a_peer_make_one_front_and_a_selector_stands_alone():
+    assert front_of("xu:0/2/50", PEER) == front_of("xu", PEER) == "xu"
+    assert front_of("ppo:runs/a", LEARNED) == "ppo:runs/a"
+    assert front_of("cascade:1/3/0.5", CASCADE) == "cascade"
+    assert front_of("music@mean", VARIANT) is None
 
 
 def first_alone(argument, context):

@@ -25,7 +25,7 @@ from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.evaluation.study import Entrant, cells
 from amusic_gym.evaluation.study.cells import LABELS
 from amusic_gym.evaluation.study.field import BOTH, SEEDS, Field
-from amusic_gym.evaluation.study.figures import draw
+from amusic_gym.evaluation.study.figures import _without_worse_peers, draw
 from amusic_gym.evaluation.study.findings import EVERYONE, ahead
 from amusic_gym.evaluation.study.fronts import GRID, front_at, hypervolume
 from amusic_gym.evaluation.study.tables import tables, text, write_markdown
@@ -823,6 +823,22 @@ def test_a_figure_draws_a_large_family_as_one_front_whatever_is_in_it(tmp_path):
         (figure,) = draw(findings, tmp_path / str(i))
         pictures.append(Path(figure.path).read_bytes())
     assert pictures[0] == pictures[1]
+
+
+def test_a_figure_shows_a_peer_where_no_other_setting_of_it_is_better_for_less():
+    def point(policy: str, compute: float, auc: float, family: str = "peer") -> dict:
+        labels = {"bank": "hall", "condition": "paced", "policy": policy, "family": family}
+        return {**labels, "compute": compute, "auc": auc}
+
+    rows = [
+        point("xu:0/2/5", 0.5, 0.6),
+        point("xu:2/9/5", 0.5, 0.4),
+        point("xu:A/0/2/5", 0.1, 0.3),
+        point("hmm", 1.0, 0.2),
+        point("cascade", 0.5, 0.1, "cascade"),
+    ]
+    shown = [row["policy"] for row in _without_worse_peers(rows)]
+    assert shown == ["xu:0/2/5", "xu:A/0/2/5", "hmm", "cascade"]
 
 
 def test_figures_of_one_route_and_of_nothing_to_draw(tmp_path):

@@ -82,7 +82,7 @@ def _stands(name: str, points: dict[float, list[Row]]) -> str:
     idling = where(lambda rows: ahead_of_all([row for row in rows if row["kind"] == idle]))
     parts = [
         f"{_bold(name)} is ahead of every kind of rule that always runs something at"
-        f" {running or 'no compute'}, of those that may idle at {idling or 'none'}"
+        f" {running or 'none'}, of those that may idle at {idling or 'none'}"
     ]
     kinds = dict.fromkeys(row["kind"] for rows in points.values() for row in rows)
     for kind in kinds:
