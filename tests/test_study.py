@@ -527,7 +527,7 @@ def test_fronts_are_of_families_and_of_single_policies(whole):
         "cascade",
         "random",
         "oracle",
-        "raw:T0",
+        "raw",
         "imitation",
         "PPO",
     ]
@@ -725,7 +725,7 @@ def test_audit_holds_every_front_against_the_truth_and_says_loudly_where_they_pa
     fronts = [row["front"] for row in whole.findings.audit]
     assert fronts[0] == "imitation"  # learned ones first
     assert "oracle" not in fronts
-    assert "raw:T0" not in fronts
+    assert "raw" not in fronts
     assert whole.findings.warnings  # re-timed, p̂ of a steady robot is far too high
 
 
