@@ -18,7 +18,9 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation import figures, store
 from amusic_gym.evaluation.audit import audit
+from amusic_gym.evaluation.columns import COLUMNS
 from amusic_gym.evaluation.comparison import (
+    SHOWN,
     Comparison,
     compare,
     distinct,
@@ -380,7 +382,11 @@ def test_table_says_what_the_rows_say(tmp_path):
         "mean over 2 banks (50 frames, measured costs)",
     ]
     heads, amusic, weighted_line = (line.split() for line in blocks[0].splitlines()[1:])
-    assert heads[:4] == ["policy", "λ", "SIC", "accuracy"]
+    assert heads[:4] == ["policy", "λ", "SIC", "Accuracy"]
+    said = " ".join(blocks[3].split())  # of every column that is no policy's name, what it means
+    assert said.startswith("λ: compute weight of a policy that weighs compute. SIC: statistic of")
+    for name in SHOWN:
+        assert f" {COLUMNS[name].heading}: {COLUMNS[name].meaning}." in said
     row = result.rows[0]
     assert amusic[:3] == ["amusic", "mean", f"{row['accuracy']:.4f}"]
     assert weighted_line[:3] == ["weighted", "0.1", "mean"]
@@ -506,7 +512,7 @@ def test_a_headline_names_the_best_and_the_cheapest_that_is_near():
     rows += [row("ppo", 0.89, 0.4, 0.3), row("ppo", 0.885, 0.3, 0.6), row("amusic", 0.9004, 0.9)]
     said = figures.headline(rows)
     assert "A-MuSIC has the highest AUC, 0.900, at 90%" in said  # equal to three digits: cheaper
-    assert said.endswith("selector, λ 0.6 comes within 0.02 of it at 30%.")
+    assert said.endswith("selector (ppo), λ 0.6 comes within 0.02 of it at 30%.")
     rows += [row("ppo", 0.95, 0.1, 2.0), row("single:A", 0.95, 0.1)]  # as good and as cheap
     assert "A has the highest AUC, 0.950, at 10%" in figures.headline(rows)
 

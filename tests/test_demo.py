@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from amusic_agents.config import RolloutConfig, TrainingConfig
+from amusic_agents.selector import load_selector
 
 from amusic_gym.cli import demo, demo_tours, start
 from amusic_gym.cli import demo_story as story
@@ -76,10 +75,11 @@ def test_story_says_who_is_ahead_level_and_behind():
     tale = story.on_tours(FINDINGS, {"trained here": "The selector"})
     lines = tale.sentences
     assert lines[0] == (
-        "The selector (λ 0.2) reaches AUC 0.880 (0.870 to 0.890) at 35% of the compute of all"
-        " techniques; at no more it is ahead of A+B (0.700), random, p = 0.3 (0.600); level with"
-        " cascade (1/9/0.5) (0.870); behind all every 2 frames (0.900); of rules that may run"
-        " nothing, ahead of value of information, may idle (0.600)."
+        "The selector, at λ 0.2, reaches AUC 0.880 (0.870 to 0.890) at 35% of the compute of all"
+        " techniques; at no more it is ahead of A+B (0.700 at 30%), random, p = 0.3 (0.600 at 30%);"
+        " level with cascade (1/9/0.5) (0.870 at 30%); behind all every 2 frames (0.900 at 30%); of"
+        " rules that may run nothing, ahead of value of information, may idle (0.600 at 30%);"
+        " A-MuSIC on the same statistic takes 45% for 0.850."
     )
     assert "A-MuSIC as in the paper: 0.800 at 40%" in lines[1]
     assert "the selector's statistic: 0.850 at 45%" in lines[1]
@@ -95,9 +95,29 @@ def test_story_says_who_is_ahead_level_and_behind():
         ["trained here, λ 0.2", verdict]
         for verdict in ("ahead of", "ahead of", "level with", "behind", "ahead of")
     ]
+    assert "Level with: 0 is in the 95 % interval" in tale.table.note
     assert tale.table.rows[2][2:] == [
         *("cascade (1/9/0.5)", "cascade", "0.880", "0.870", "30.0%", "-0.020 to +0.030"),
     ]
+
+
+def test_what_a_music_costs_is_told_only_where_it_is_no_rival():
+    cheap = {**POINTS[1], "compute": 0.3}
+    findings = SimpleNamespace(**{**vars(FINDINGS), "points": [POINTS[0], cheap, *POINTS[2:]]})
+    (line, *_) = story.on_tours(findings, {"trained here": "The selector"}).sentences
+    assert "at λ 1, reaches AUC 0.700" in line
+    assert "takes" in line
+    cheap["compute"] = 0.1
+    (line, *_) = story.on_tours(findings, {"trained here": "The selector"}).sentences
+    assert "takes" not in line
+
+
+def test_another_recording_is_told_in_one_sentence():
+    said = story.other("Hall", POINTS, "trained here")
+    assert said == (
+        "On Hall, which no training saw, trained here reaches AUC 0.880 at 35.0% of the compute"
+        " (λ 0.2); A-MuSIC 0.800 at 40%, on the selector's statistic 0.850 at 45%."
+    )
 
 
 def test_highlights_are_drives_as_spoken_of_with_stops_and_one_that_fails():
@@ -124,32 +144,26 @@ def test_highlights_are_drives_as_spoken_of_with_stops_and_one_that_fails():
 
 
 def test_demo_from_worlds_to_page(monkeypatch, tmp_path, capsys):
-    small = {"n_envs": 8, "pool": 2, "held_out": 1, "threads": 1}
-    tiny = partial(RolloutConfig, horizon=4, hold=2, every=1)
-    monkeypatch.setattr(demo, "TrainingConfig", lambda **given: TrainingConfig(**given | small))
-    monkeypatch.setattr(demo, "RolloutConfig", tiny)
-    few = {"states": 8, "batch_size": 4, "epochs": 1}
-    monkeypatch.setattr(demo, "QUICK", few)
     monkeypatch.setattr(rivals, "DRAWS", 2)
     monkeypatch.setattr(rivals, "COMPUTE_WEIGHTS", (0.1, 1.0))
     monkeypatch.setattr(demo_tours, "PLACES", 8)
-    monkeypatch.setattr(demo_tours, "SEEDS", (1, 2))
-    monkeypatch.setattr(demo_tours, "EXECUTOR", "serial")
+    monkeypatch.setattr(demo_tours, "TOURS", 2)
+    monkeypatch.setattr(demo_tours, "WORKERS", 1)
     monkeypatch.setattr(demo_tours, "TECHNIQUES", ("hog", "cohog"))
-    worlds = [demo_tours.DemoWorld("corridor", 1, "night"), demo_tours.DemoWorld("rail", 2, "rain")]
+    worlds = [demo_tours.DemoWorld("corridor", "night"), demo_tours.DemoWorld("rail", "rain")]
     monkeypatch.setattr(demo_tours, "WORLDS", worlds)
     monkeypatch.setattr(demo_tours, "OF_DRIVE", 3)
     monkeypatch.delenv("AMUSIC_DATA", raising=False)
     own = simulate(5, queries=30, techniques=3).save(tmp_path / "own")
     out = tmp_path / "out"
-    arguments = ["--out", str(out), "--iterations", "1", "--bank", str(own)]
+    arguments = ["--out", str(out), "--seed", "1", "--bank", str(own)]
     with pytest.raises(ValueError, match="the paper gives no time for"):
         start("demo", arguments)  # before anything is rendered
     assert not out.exists()
     start("demo", [*arguments, "--costs", "runs"])
     said = capsys.readouterr().out
-    assert "On tours that no training saw, the selector that ships (λ" in said
-    assert "On simulated-5, which no training saw, the selector trained here" in said
+    assert "On tours that no training saw, the selector that ships (ppo), at λ" in said
+    assert "On simulated-5, which no training saw, ppo reaches AUC" in said
     assert said.count("WARNING") == 0
     rows = json.loads((out / "results.json").read_text())["rows"]
     assert {r["bank"] for r in rows} == {"tour-1", "tour-2", "simulated-5"}
@@ -158,7 +172,7 @@ def test_demo_from_worlds_to_page(monkeypatch, tmp_path, capsys):
     }
     stops = json.loads((out / "stops" / "results.json").read_text())["rows"]
     assert {r["bank"] for r in stops} == {"tour-1 with stops"}
-    assert {"ppo@belief", "amusic:belief", demo.TRAINED} <= {r["policy"] for r in stops}
+    assert {"ppo@belief", "amusic:belief", demo.SHIPS} <= {r["policy"] for r in stops}
     studied = json.loads((out / "study" / "study.json").read_text())
     assert {row["kind"] for row in studied["matches"]} == {
         *("fixed subsets", "A-MuSIC", "cascade", "periodic", "random", "may idle"),
@@ -177,4 +191,7 @@ def test_demo_from_worlds_to_page(monkeypatch, tmp_path, capsys):
     assert named & {r["policy"] for r in rows}  # those that the table names have drives
     assert "with stops, by the belief" in page
     assert page.replace("http://www.w3.org/2000/svg", "").count("http") == 1  # the policy's tag
-    assert (out / "run" / "selector.safetensors").is_file()
+    assert load_selector(out / "run").needs == load_selector().needs
+    worlds = [out / "images" / str(seed) / "corridor" / "reference" for seed in (1, 2)]
+    one, two = (next(world.glob("*0.jpg")).read_bytes() for world in worlds)
+    assert one != two  # each tour has worlds of its own

@@ -26,7 +26,7 @@ from amusic_baselines.scores import best_outside, scaled, standardised
 from amusic_baselines.switchhit import Experience, SwitchHit, simulated
 from env_cases import noisy_bank, random_bank
 from live_cases import pair
-from rollout_cases import assert_same
+from rollout_cases import assert_same, localise, rows_of
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.evaluation.metrics import summarise
@@ -42,9 +42,12 @@ SPECS = [
     *("mpf", "mpf:3", "hmpf", "dynmpf", "dynmpf:4", "switchhit", "switchhit:0.4", "switchhit:1"),
     *("periodic:3", "periodic:4/T1+T2/T0", "voi", "voi:0.2"),
     *("plurality", "borda", "borda:60", "hmm", "hmm:0.2/0.05"),
+    *("xu", "xu:0/2/50", "lazygraph", "lazygraph:3/0.5/4"),
 ]
 ALL_ROWS = ("mpf", "hmpf", "dynmpf", "plurality", "borda", "hmm")  # run every technique, always
-PEERS = [spec for spec in SPECS if spec.partition(":")[0] in (*ALL_ROWS, "switchhit")]
+PEERS = [
+    spec for spec in SPECS if spec.partition(":")[0] in (*ALL_ROWS, "switchhit", "xu", "lazygraph")
+]
 
 
 def make(spec, bank, seed=4):
@@ -53,24 +56,6 @@ def make(spec, bank, seed=4):
 
 def run(spec, bank):
     return rollout(make(spec, bank), bank, name=spec, statistic="evidence")
-
-
-def rows_of(bank, frame):
-    """A `Run` of one frame of a bank, and the list of what it ran."""
-    asked = []
-
-    def run(technique):
-        asked.append(technique)
-        return bank.row(technique, frame)
-
-    return run, asked
-
-
-def localise(policy, bank):
-    """Places and confidences of a whole bank."""
-    policy.reset(bank.references, len(bank.techniques))
-    frames = range(bank.queries)
-    return zip(*(policy.locate(q, rows_of(bank, q)[0]) for q in frames), strict=True)
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +153,7 @@ def test_ties_and_constant_rows(spec):
     )
     trace = run(spec, blank)
     assert np.isfinite(trace.confidence).all()
-    if not spec.startswith("hmm"):  # which knows that the robot moves on
+    if not spec.startswith(("hmm", "xu")):  # which know that the robot moves on
         assert (trace.predictions == 0).all()
 
 
@@ -237,6 +222,14 @@ def test_any_scale_and_offset_of_a_techniques_scores_is_the_same(spec, four):
         ("hmm:0.5/0", r"JUMP is '0'; give a number in \[1e-09, 1\]"),
         ("hmm:0.5/1.5", r"JUMP is '1.5'; give a number in \[1e-09, 1\]"),
         ("hmm:x/0.1", "BETA is 'x'; give a number"),
+        ("xu:3", "xu:3 is not of the form xu:BACK/AHEAD/DELTA; write it so"),
+        ("xu:T9/0/2/5", "unknown technique 'T9'"),
+        ("xu:T0+T0/0/2/5", "xu:T0\\+T0/0/2/5 names a technique twice"),
+        ("xu:T0/-1/2/5", "BACK is '-1'; give a whole number from 0"),
+        ("xu:0/2/0.5", r"DELTA is '0.5'; give a number in \[1, 1e\+09\]"),
+        ("lazygraph:5/0.7", "lazygraph:5/0.7 is not of the form lazygraph:FANOUT/RATE/NONMATCH"),
+        ("lazygraph:0/0.7/6", "FANOUT is '0'; give a whole number from 1"),
+        ("lazygraph:5/1.7/6", r"RATE is '1.7'; give a number in \[0, 1\]"),
         ("cascade:3", "cascade:3 is not of the form cascade:CHEAP/HOLD/THRESHOLD; write it so"),
         ("cascade:", "cascade: is not of the form cascade:CHEAP/HOLD/THRESHOLD"),
         ("cascade:0/5/0.5", "CHEAP is '0'; give a whole number from 1 to 4"),
@@ -261,7 +254,7 @@ def test_policies_that_need_ground_truth_are_marked():
     assert parse("switchhit:0.5").label == "SwitchHit-style † (0.5)"
     assert parse("oracle").label == "oracle †"
     assert parse("mpf:10").label == "MPF (10)"
-    assert parse("ppo:switchhit").label == "selector switchhit"
+    assert parse("ppo:switchhit").label == "selector (ppo:switchhit)"
 
 
 # ---- what they share -----------------------------------------------------------------------------

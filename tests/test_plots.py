@@ -271,8 +271,8 @@ def test_colours_are_steady_and_distinct() -> None:
         ("voi:0.2", "value of information, fixed λ 0.2"),
         ("voi:0.2/idle", "value of information, fixed λ 0.2, may idle"),
         ("cascade", "cascade"),
-        ("ppo", "selector"),
-        ("ppo:out/demo/run", "selector run"),
+        ("ppo", "selector (ppo)"),
+        ("ppo:out/demo/run", "selector (ppo:run)"),
     ],
 )
 def test_policies_have_names_for_readers(policy: str, name: str) -> None:
@@ -369,7 +369,7 @@ def test_report_is_self_contained_and_says_what_it_was_given(tmp_path: Path) -> 
     assert not re.search(r"@import|https?:(?!//www.w3.org/2000/svg)", text)
     assert not {"b", "iframe"} & set(page.opened)
     words = " ".join(page.words)
-    for part in ("A <b>title</b>", "One & all.", "Mean over banks", "selector a", "A-MuSIC"):
+    for part in ("A <b>title</b>", "One & all.", "Mean over banks", "selector (ppo:a)", "A-MuSIC"):
         assert part in words, part
     assert page.opened.count("table") == 2
     assert page.opened.count("tr") == 2 * (1 + len(some_rows()))

@@ -20,13 +20,16 @@ from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.policies import registry
 from amusic_gym.policies.protocol import Context, Selector
 from amusic_gym.policies.registry import (
+    CASCADE,
     FAMILIES,
     FIXED,
     IDLE,
     LEARNED,
     MARK,
     PEER,
+    VARIANT,
     RegisteredPolicy,
+    front_of,
     make_policy,
     parse,
     policies,
@@ -115,6 +118,13 @@ def test_a_family_s_front_looks_like_nothing_else_there():
     assert all(each.front for each in fronts)
 
 
+def test_the_settings_of_a_peer_make_one_front_and_a_selector_stands_alone():
+    assert front_of("xu:0/2/50", PEER) == front_of("xu", PEER) == "xu"
+    assert front_of("ppo:runs/a", LEARNED) == "ppo:runs/a"
+    assert front_of("cascade:1/3/0.5", CASCADE) == "cascade"
+    assert front_of("music@mean", VARIANT) is None
+
+
 def first_alone(argument, context):
     return Subset([0])
 
@@ -164,7 +174,7 @@ def test_an_installed_package_brings_policies_by_an_entry_point(tmp_path):
     code = (
         "import sys\nfrom amusic_gym.policies.registry import parse\n"
         "assert parse('theirs').policy.family == 'peer'\n"
-        "assert parse('ppo').label == 'selector'\n"
+        "assert parse('ppo').label == 'selector (ppo)'\n"
         "assert 'torch' not in sys.modules and 'matplotlib' not in sys.modules\n"
     )
     path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])

@@ -34,7 +34,7 @@ from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.evaluation.study import Entrant, cells
 from amusic_gym.evaluation.study.cells import LABELS
 from amusic_gym.evaluation.study.field import BOTH, SEEDS, Field
-from amusic_gym.evaluation.study.figures import draw
+from amusic_gym.evaluation.study.figures import _without_worse_peers, draw
 from amusic_gym.evaluation.study.findings import EVERYONE, ahead
 from amusic_gym.evaluation.study.fronts import GRID, front_at, hypervolume
 from amusic_gym.evaluation.study.tables import tables, text, write_markdown
@@ -71,11 +71,15 @@ def test_a_policy_has_a_cell_for_all_that_may_change_it():
     plan = plan_of([*FIXED[:1], entrant("random:0.5", draws=True), learned("PPO")], banks(1))
     one = "single:T0", "random:0.5"
     assert cells_of(plan, one[0], "recorded") == [("bank1", None, one[0], None)]
-    assert cells_of(plan, one[0], "retimed") == [("bank1", None, one[0], s) for s in (0, 1)]
+    assert cells_of(plan, one[0], "kidnapped") == [("bank1", None, one[0], s) for s in (0, 1)]
     assert cells_of(plan, one[1], "recorded") == [("bank1", None, one[1], None)] * 2
-    assert [c.seed for c in plan.cells if c.labels["policy"] == one[1]] == [0, 1, 0, 1]
+    assert [c.seed for c in plan.cells if c.labels["policy"] == one[1]] == [0, 1] * 3
     assert len({cell.path for cell in plan.cells}) == len(plan.cells)
-    for condition, seeds in (("recorded", (None, None)), ("retimed", (0, 1))):
+    for condition, seeds in (
+        ("recorded", (None, None)),
+        ("paced", (0, 1)),
+        ("kidnapped", (0, 1)),
+    ):
         assert cells_of(plan, "PPO", condition) == [
             ("bank1", weight, f"PPO{number}", seed)
             for number, seed in enumerate(seeds)
@@ -85,8 +89,8 @@ def test_a_policy_has_a_cell_for_all_that_may_change_it():
 
 
 def test_seeds_and_conditions_are_those_asked_for():
-    plan = plan_of([*FIXED[:1], learned("PPO", 3)], seeds=(4, 7, 9), conditions=["retimed"])
-    assert {cell.labels["condition"] for cell in plan.cells} == {"retimed"}
+    plan = plan_of([*FIXED[:1], learned("PPO", 3)], seeds=(4, 7, 9), conditions=["kidnapped"])
+    assert {cell.labels["condition"] for cell in plan.cells} == {"kidnapped"}
     assert [c.retiming for c in plan.cells if c.labels["bank"] == "bank1"] == [
         *([4] * 4 + [7] * 4 + [9] * 4)
     ]
@@ -107,8 +111,8 @@ def renamed(name: str) -> Entrant:
         (FIXED, {"seeds": ()}, r"seeds are \[\]; give at least one"),
         (FIXED, {"seeds": (1, 1)}, r"seeds are \[1, 1\]; give at least one, each once"),
         (FIXED, {"seeds": (-1,)}, "seed is -1"),
-        (FIXED, {"conditions": ()}, "no condition; give some of recorded, retimed"),
-        (FIXED, {"conditions": ("retimd",)}, "did you mean 'retimed'?"),
+        (FIXED, {"conditions": ()}, "no condition; give some of recorded, paced, kidnapped"),
+        (FIXED, {"conditions": ("kidnaped",)}, "did you mean 'kidnapped'?"),
         ([learned("PPO", 3)], {}, "PPO has 3 runs for 2 seeds; give one run, or one for each"),
         ([learned("PPO", 2, tuple(range(9)))], {}, "PPO has 9 compute weights; give 1 to 8"),
         ([renamed("cascade")], {}, "'cascade' is what tables call a front; take another name"),
@@ -150,18 +154,19 @@ def test_a_study_without_carried_candidates_says_so(tmp_path):
 
 def test_a_cell_holds_what_the_rollout_gives(whole):
     first, second = banks()
-    for bank, retiming, policy in (
-        (first, None, "cascade"),
-        (second, 1, "cascade"),
-        (second, 0, "amusic"),
+    for bank, motion, retiming, policy in (
+        (first, "recorded", None, "cascade"),
+        (second, "paced", 1, "cascade"),
+        (second, "kidnapped", 0, "amusic"),
     ):
-        route = bank if retiming is None else retime(bank, retiming)
+        route = bank if retiming is None else retime(bank, retiming, motion)
         made = make_policy(policy, Context.of(route, statistic="evidence"))
         trace = rollout(made, route, name=policy, statistic="evidence")
         (cell,) = [
             cell
             for cell in whole.finished
-            if (cell["bank"], cell["policy"], cell["seed"]) == (bank.name, policy, retiming)
+            if (cell["bank"], cell["condition"]) == (bank.name, motion)
+            and (cell["policy"], cell["seed"]) == (policy, retiming)
         ]
         row, held = summarise(trace), audit(trace)
         measured = {key: value for key, value in row.items() if key not in LABELS}
@@ -219,7 +224,7 @@ def test_lines_of_progress_count_all_cells(whole):
         f"[{n}/{count}" for n in range(1, count + 1)
     ]
     assert whole.said[0].startswith(f"[1/{count}] bank1, recorded: single:T0: auc 0.")
-    assert whole.said[-1].startswith(f"[{count}/{count}] bank2, retimed 1: PPO λ 8: auc 0.")
+    assert whole.said[-1].startswith(f"[{count}/{count}] bank2, kidnapped 1: PPO λ 8: auc 0.")
     assert whole.said[-1].endswith("(about 0 s left)")
 
 
@@ -238,9 +243,9 @@ def test_34_35_a_stopped_study_loses_the_running_cell_and_no_other(tmp_path):
     assert len(kept) == 3
     counts = study.count_finished(plan, tmp_path)
     assert [counts[name] for name in ("single:T0", "single:T2", "music")] == [
-        (1, 3),
-        (1, 3),
-        (0, 3),
+        (1, 5),
+        (1, 5),
+        (0, 5),
     ]
     lines.clear()
     study.run(plan, tmp_path, report=lines.append)
@@ -276,7 +281,8 @@ def one_cell(
         {"carry": False},
         {"discount": False},
         {"costs": "runs"},
-        {"conditions": ("retimed",)},
+        {"conditions": ("paced",)},
+        {"conditions": ("kidnapped",)},
         {"draws": True},
         {"bank": random_bank(1, queries=20, levels=13)},
         {"bank": random_bank(1, queries=20, tolerance=1)},
@@ -285,6 +291,10 @@ def one_cell(
 def test_25_whatever_may_change_a_cell_changes_its_key(change):
     assert one_cell() == one_cell()
     assert one_cell(**change) != one_cell()
+
+
+def test_25_every_motion_has_cells_of_its_own():
+    assert one_cell(conditions=("paced",)) != one_cell(conditions=("kidnapped",))
 
 
 def test_names_are_no_part_of_a_cell():
@@ -494,13 +504,17 @@ def test_points_are_means_over_seeds_then_routes(whole):
     cells = [
         c
         for c in whole.finished
-        if (c["policy"], c["compute_weight"], c["condition"]) == ("PPO", 1.0, "retimed")
+        if (c["policy"], c["compute_weight"], c["condition"]) == ("PPO", 1.0, "kidnapped")
     ]
     assert len(cells) == 4
     for route in ("bank1", "bank2"):
         there = [c for c in cells if c["bank"] == route]
         row = pick(
-            whole.findings.points, policy="PPO", compute_weight=1.0, condition="retimed", bank=route
+            whole.findings.points,
+            policy="PPO",
+            compute_weight=1.0,
+            condition="kidnapped",
+            bank=route,
         )
         expected = mean_rows(there)[0]
         for name in ("auc", "compute", "accuracy", "lost", "ptr"):
@@ -512,7 +526,7 @@ def test_points_are_means_over_seeds_then_routes(whole):
         assert row["routes"] == 1
         assert "p_correct" not in row
     mean = pick(
-        whole.findings.points, policy="PPO", compute_weight=1.0, condition="retimed", bank="mean"
+        whole.findings.points, policy="PPO", compute_weight=1.0, condition="kidnapped", bank="mean"
     )
     assert mean["auc"] == pytest.approx(np.mean([c["auc"] for c in cells]))
     assert (mean["routes"], mean["interval_over"]) == (2, "seeds and routes")
@@ -533,7 +547,7 @@ def test_fronts_are_of_families_and_of_single_policies(whole):
     names = [
         row["front"]
         for row in whole.findings.fronts
-        if (row["condition"], row["bank"]) == ("retimed", "mean")
+        if (row["condition"], row["bank"]) == ("kidnapped", "mean")
     ]
     assert names == [
         "fixed subsets",
@@ -541,15 +555,15 @@ def test_fronts_are_of_families_and_of_single_policies(whole):
         "cascade",
         "random",
         "oracle",
-        "raw:T0",
+        "raw",
         "imitation",
         "PPO",
     ]
-    fixed = pick(whole.findings.fronts, front="fixed subsets", condition="retimed", bank="bank1")
+    fixed = pick(whole.findings.fronts, front="fixed subsets", condition="kidnapped", bank="bank1")
     points = [
         row
         for row in whole.findings.points
-        if (row["family"], row["condition"], row["bank"]) == ("fixed", "retimed", "bank1")
+        if (row["family"], row["condition"], row["bank"]) == ("fixed", "kidnapped", "bank1")
     ]
     compute, auc = ([row[name] for row in points] for name in ("compute", "auc"))
     assert fixed["points"] == len(points) == 5
@@ -632,7 +646,7 @@ def test_matches_are_the_best_of_each_kind_at_no_more_compute():
     findings = made_up(
         {
             "music": [(0.1, 0.6), (0.3, 0.9), (1.0, 0.95)],
-            "cascade": [(0.2, 0.8), (0.25, 0.79)],
+            "cascade": [(0.2, 0.7998), (0.25, 0.79), (0.28, 0.8)],
             "voi:idle": [(0.3, 0.8004)],
             "periodic:2": [(0.4, 1.0)],
             "peer": [(0.1, 1.0)],
@@ -658,6 +672,7 @@ def test_matches_are_the_best_of_each_kind_at_no_more_compute():
     assert found[1.0, "periodic"]["difference"] is None
     assert ahead(subset) is False
     assert ahead(found[1.0, "cascade"]) is None  # equal
+    assert found[1.0, "cascade"]["rival_compute"] == 0.2  # the cheaper of equals
     assert ahead(found[1.0, "may idle"]) is None  # to three digits
     (shown,) = (t for t in tables(findings) if t.title.startswith("The best of each kind"))
     dear = ["PPO", "1", "30.0 %", "0.800", "", "0.900 > (MuSIC, λ 1)", "0.800 = (cascade, λ 0)"]
@@ -686,7 +701,7 @@ def test_ahead_only_beyond_the_band_is_no_lead_within_it():
 
 
 def test_gap_closed_is_between_single_and_virtual_best(whole):
-    for condition in ("recorded", "retimed"):
+    for condition in ("recorded", "kidnapped"):
         fixed = [
             row
             for row in whole.findings.points
@@ -732,13 +747,13 @@ def test_audit_holds_every_front_against_the_truth_and_says_loudly_where_they_pa
         assert row["gap"] == pytest.approx(np.mean([c["gap"] for c in cells]))
         assert row["greatest_gap"] == pytest.approx(max(c["gap"] for c in cells))
         told = f"WARNING: {row['front']} on {row['bank']}, "
-        told += {"recorded": "as recorded", "retimed": "re-timed"}[row["condition"]]
+        told += {"recorded": "as recorded"}.get(row["condition"], row["condition"])
         lines = [line for line in whole.findings.warnings if line.startswith(f"{told}:")]
         assert len(lines) == (row["greatest_gap"] > 0.1)
     fronts = [row["front"] for row in whole.findings.audit]
     assert fronts[0] == "imitation"  # learned ones first
     assert "oracle" not in fronts
-    assert "raw:T0" not in fronts
+    assert "raw" not in fronts
     assert whole.findings.warnings  # re-timed, p̂ of a steady robot is far too high
 
 
@@ -763,11 +778,12 @@ def test_tables_show_every_point_once_and_mark_what_needs_ground_truth(whole):
         "bank1: 30 frames, 40 places (measured costs)",
         "bank2: 30 frames, 40 places (measured costs)",
         "Fronts, as recorded",
-        "Fronts, re-timed",
+        "Fronts, paced",
+        "Fronts, kidnapped",
         *(
             f"The best of each kind at no more compute, {condition}: {where}"
             for where in ("mean over 2 routes", "bank1", "bank2")
-            for condition in ("as recorded", "re-timed")
+            for condition in ("as recorded", "paced", "kidnapped")
         ),
         "Margins: AUC of the selector's front minus the rival's",
         "Audit: estimated correctness p̂ against the truth",
@@ -837,8 +853,24 @@ def test_a_figure_draws_a_large_family_as_one_front_whatever_is_in_it(tmp_path):
     assert pictures[0] == pictures[1]
 
 
+def test_a_figure_shows_a_peer_where_no_other_setting_of_it_is_better_for_less():
+    def point(policy: str, compute: float, auc: float, family: str = "peer") -> dict:
+        labels = {"bank": "hall", "condition": "paced", "policy": policy, "family": family}
+        return {**labels, "compute": compute, "auc": auc}
+
+    rows = [
+        point("xu:0/2/5", 0.5, 0.6),
+        point("xu:2/9/5", 0.5, 0.4),
+        point("xu:A/0/2/5", 0.1, 0.3),
+        point("hmm", 1.0, 0.2),
+        point("cascade", 0.5, 0.1, "cascade"),
+    ]
+    shown = [row["policy"] for row in _without_worse_peers(rows)]
+    assert shown == ["xu:0/2/5", "xu:A/0/2/5", "hmm", "cascade"]
+
+
 def test_figures_of_one_route_and_of_nothing_to_draw(tmp_path):
-    plan = plan_of([*FIXED[:1], entrant("raw:T0")], banks(1), conditions=("retimed",))
+    plan = plan_of([*FIXED[:1], entrant("raw:T0")], banks(1), conditions=("kidnapped",))
     findings = study.find(plan, study.run(plan, tmp_path, report=len))
     (figure,) = draw(findings, tmp_path)
     assert Path(figure.path).name == "fronts.png"
@@ -865,7 +897,7 @@ def test_command_runs_prints_and_resumes(run_script, tmp_path, folders, trained)
     ]
     dry = run_script("study.py", *words, "--dry-run")
     assert (dry.returncode, dry.stderr) == (0, "")
-    assert dry.stdout.splitlines()[-1] == "0 of 22 cells finished, 22 to compute"
+    assert dry.stdout.splitlines()[-1] == "0 of 36 cells finished, 36 to compute"
     assert not out.exists()
     done = run_script("study.py", *words)
     assert (done.returncode, done.stderr) == (0, "")
@@ -900,7 +932,7 @@ def test_command_runs_prints_and_resumes(run_script, tmp_path, folders, trained)
     }
     assert "Audit: estimated correctness" in done.stdout
     dry = run_script("study.py", *words, "--dry-run")
-    assert dry.stdout.splitlines()[-1] == "22 of 22 cells finished, 0 to compute"
+    assert dry.stdout.splitlines()[-1] == "36 of 36 cells finished, 0 to compute"
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -930,7 +962,7 @@ def test_34_52_a_stopped_study_keeps_the_finished_cells(tmp_path, folders, numbe
         (["--policy", "music", "--seeds", "0"], "--seeds is 0"),
         (["--policy", "music", "--executor", "rya"], "did you mean 'ray'?"),
         (["--policy", "music", "--costs", "paper"], "the paper gives no time for technique 'T0'"),
-        (["--policy", "music", "--conditions", "retimd"], "did you mean 'retimed'?"),
+        (["--policy", "music", "--conditions", "kidnaped"], "did you mean 'kidnapped'?"),
         (["--policy", "music", "--compute-weight", "-1"], "compute weight is -1.0"),
         (["--policy", "music", "--bank", "nowhere"], "nowhere"),
     ],

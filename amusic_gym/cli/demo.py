@@ -1,24 +1,22 @@
-"""The main job in one go: from images to a trained selector, a comparison and a page.
+"""The main job in one go: from images to a selector's drives, a comparison and a page.
 
-It renders worlds, joins them into tours under changing conditions, runs the techniques on these,
-trains a selector on simulated routes by policy iteration, and compares it on the tours, which no
-training saw, with the selector that ships and with rules of every kind. With the variable
-AMUSIC_DATA the real Corridor recording is added, with --bank your own.
+It renders worlds, joins them into three tours under changing conditions, runs the techniques on
+these, and compares the selectors that ship, whose training saw none of them, with rules of every
+kind. With the variable AMUSIC_DATA the real Corridor recording is added, with --bank your own.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import time
 import warnings
 from dataclasses import replace
 from pathlib import Path
 
-from amusic_agents.config import RolloutConfig, TrainingConfig
-from amusic_agents.run_folder import CHECKPOINT, stored_config
 from amusic_agents.selector import load_selector
-from amusic_agents.training import train
+from amusic_agents.shipped import shipped
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.costs import COST_MODELS
@@ -33,48 +31,20 @@ from amusic_gym.evaluation.report import ReportFigure, write_report
 from amusic_gym.evaluation.study.figures import draw as draw_study
 from amusic_gym.evaluation.study.page import believed, page_rows
 from amusic_gym.evaluation.study.rivals import study_rivals
+from amusic_gym.utils.checks import whole
 
 REAL = ("HOG", "CALC", "CoHOG", "NetVLAD")
-ITERATIONS = 3
-QUICK = {"states": 3_000, "epochs": 8}
-"""Of an iteration: less than the defaults, so that the training takes a minute or two."""
 
 RULES = ("amusic", "amusic:evidence", "oracle", "cascade", "random:0.3")
 """What every route is driven with, besides selectors, fixed subsets and the rivals named."""
 
-TRAINED, SHIPS, MAY_IDLE = (
-    *("selector trained here", "selector that ships"),
-    "selector that ships and may idle",
-)
+SHIPS, MAY_IDLE = "ppo", "ppo:idle"
 SELECTORS = {
-    SHIPS: "On tours that no training saw, the selector that ships",
-    TRAINED: "The one trained here",
-    MAY_IDLE: "The one that ships and may run nothing on a frame",
+    SHIPS: "On tours that no training saw, the selector that ships (ppo)",
+    MAY_IDLE: "The one that may run nothing on a frame (ppo:idle)",
 }
 FOLLOWS_STOPS = ("amusic:belief", "ppo@belief")
 """Driven with on the route with stops, besides."""
-
-
-def training(folder: Path, iterations: int, seed: int) -> TrainingConfig:
-    """How to train on simulated routes, by their ground truth.
-
-    Raises:
-        ValueError: if the folder holds a training with other settings.
-    """
-    config = TrainingConfig(
-        algorithm="rollouts",
-        seed=seed,
-        threads=2,
-        reward="ground_truth",
-        held_out=12,
-        rollouts=RolloutConfig(iterations=iterations, **QUICK),
-    )
-    if (folder / CHECKPOINT).exists() and stored_config(folder) != config:
-        raise ValueError(
-            f"{folder} holds a training with another --seed or other --iterations; give another"
-            f" --out, or delete {folder}"
-        )
-    return config
 
 
 def add_arguments(parser: Parser) -> None:
@@ -83,12 +53,11 @@ def add_arguments(parser: Parser) -> None:
     parser.add_shared("--bank", help="yours, to compare on besides")
     costs = "paper: the same on every machine; runs: for any techniques (default: paper)"
     parser.add_shared("--costs", choices=COST_MODELS, default="paper", help=costs)
-    parser.add_argument("--iterations", type=int, default=ITERATIONS, help="of the training")
-    parser.add_shared("--seed", help="of the training")
+    parser.add_shared("--seed", help="of the first tour; the others follow (default: %(default)s)")
 
 
 def main(given: argparse.Namespace) -> None:
-    """Render, extract, train, compare, tell."""
+    """Render, extract, compare, tell."""
     begun = time.monotonic()
 
     def say(text: str) -> None:
@@ -100,24 +69,20 @@ def main(given: argparse.Namespace) -> None:
         others.insert(0, from_recording(Path(folder) / "corridor", REAL))
     others = [bank.with_costs(given.costs) for bank in others]  # refused before long work
 
-    run_folder = out / "run"
-    config = training(run_folder, given.iterations, given.seed)
-    tours = rendered.make_tours(out, say)
+    tours = rendered.make_tours(out, whole("--seed", given.seed, 0), say)
     banks = [bank.with_costs(given.costs) for bank in rendered.banks_of(tours, out, say)]
     with_stops = rendered.with_stops(banks[0], out)
     names = [bank.name for bank in banks]
-    say(f"training a selector on simulated routes: {given.iterations} iterations")
-    train(run_folder, config, resume=(run_folder / CHECKPOINT).exists())
-    selectors = {TRAINED: f"ppo:{run_folder}", SHIPS: "ppo", MAY_IDLE: "ppo:idle"}
+    shutil.copytree(shipped(), out / "run", dirs_exist_ok=True)
 
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*has no correct match")
         say("studying it: rules of every kind at no more compute")
         findings = study_rivals(
             banks,
-            {name: [spec] for name, spec in selectors.items()},
+            {name: [name] for name in SELECTORS},
             out / "study",
-            rendered.EXECUTOR,
+            f"process:{rendered.WORKERS}",
         )
         tale = story.on_tours(findings, SELECTORS)
 
@@ -125,19 +90,18 @@ def main(given: argparse.Namespace) -> None:
             own = all_subsets(bank.techniques)
             rivals = tale.rivals if bank.name in (*names, with_stops.name) else ()
             besides = FOLLOWS_STOPS if bank.name == with_stops.name else ()
-            named = [replace(*contestants([spec]), name=name) for name, spec in selectors.items()]
-            return [*named, *contestants([*own, *RULES, *rivals, *besides])]
+            return contestants([*SELECTORS, *own, *RULES, *rivals, *besides])
 
         say("driving with it, and with the rivals")
         comparison = compare([*banks, *others], driven, out, report=lambda _: None)
         stops = compare([with_stops], driven, out / "stops", report=lambda _: None)
     say("driving live along the first tour")
-    moment = rendered.drive(out, load_selector(run_folder), tours[0], banks[0])
+    moment = rendered.drive(out, load_selector(), tours[0], banks[0])
 
     sentences = list(tale.sentences)
     for name in dict.fromkeys(bank.name for bank in others):
         rows = [row for row in comparison.rows if row["bank"] == name]
-        sentences.append(story.other(name, rows, TRAINED))
+        sentences.append(story.other(name, rows, SHIPS))
     say("drawing")
     apart = (MAY_IDLE, *tale.rivals)  # of figures of curves, which would not fit
     pictured = [

@@ -64,16 +64,17 @@ def on_tours(findings: Findings, selectors: Mapping[str, str]) -> Tale:
         matches += against
         weights[name] = own["compute_weight"]
         lines.append(
-            f"{words} (λ {own['compute_weight']:g}) reaches AUC {own['auc']:.3f}"
+            f"{words}, at λ {own['compute_weight']:g}, reaches AUC {own['auc']:.3f}"
             f" ({_span(own['auc_interval'])}) at {own['compute']:.0%} of the compute of all"
-            f" techniques; {_standing(against)}."
+            f" techniques; {_standing(against)}{_dearer(own, same)}."
         )
     lines.append(
         f"A-MuSIC as in the paper: {amusic['auc']:.3f} at {amusic['compute']:.0%}; the same rule on"
         f" the selector's statistic: {same['auc']:.3f} at {same['compute']:.0%}; every technique on"
         f" every frame: {music['auc']:.3f}. In brackets 95 % intervals over {len(findings.routes)}"
         f" tours and {len(findings.settings['seeds'])} draws, of one training; each rival is the"
-        " best of its kind on these very tours, which no one would know beforehand."
+        " best of its kind on these very tours, of equals the cheapest, which no one would know"
+        " beforehand."
     )
     if parted := dict.fromkeys(r["front"] for r in findings.audit if r["greatest_gap"] > PARTING):
         lines.append(
@@ -130,6 +131,13 @@ def _standing(matches: Sequence[Row]) -> str:
     return said + (f"; of rules that may run nothing, {_verdicts(idle)}" if idle else "")
 
 
+def _dearer(own: Row, amusic: Row) -> str:
+    """A-MuSIC on the same statistic, where it costs more and is therefore no rival."""
+    if amusic["compute"] <= own["compute"]:
+        return ""
+    return f"; A-MuSIC on the same statistic takes {amusic['compute']:.0%} for {amusic['auc']:.3f}"
+
+
 VERDICTS = {True: "ahead of", None: "level with", False: "behind"}
 
 
@@ -142,8 +150,8 @@ def _verdicts(matches: Sequence[Row]) -> str:
 
 
 def _named(match: Row) -> str:
-    """A rival and its AUC: "HOG (0.676)"."""
-    return f"{_rival(match)} ({match['rival_auc']:.3f})"
+    """A rival, its AUC and compute: "HOG (0.676 at 5%)"."""
+    return f"{_rival(match)} ({match['rival_auc']:.3f} at {match['rival_compute']:.0%})"
 
 
 def _rival(match: Row) -> str:
@@ -161,7 +169,12 @@ def _table(matches: Sequence[Row]) -> Table:
     ]
     heads = ["selector", "is", "rival", "the best of", "AUC", "rival's", "its compute"]
     title = "The best rival of each kind at no more compute"
-    return Table(title, [*heads, "difference, 95 %"], rows, words=4)
+    note = (
+        "AUC: the selector's at that λ, and the rival's, which costs no more; its compute as a"
+        " share of running everything. Level with: 0 is in the 95 % interval of the difference, the"
+        " selector's minus the rival's."
+    )
+    return Table(title, [*heads, "difference, 95 %"], rows, note, words=4)
 
 
 def _span(ends: Sequence[float], sign: str = "") -> str:
@@ -169,11 +182,14 @@ def _span(ends: Sequence[float], sign: str = "") -> str:
 
 
 def other(bank: str, rows: Sequence[Row], selector: str) -> str:
-    """One sentence on a recording: the trained selector against A-MuSIC."""
-    amusic = next(row for row in rows if row["policy"] == "amusic")
-    own = best_within([row for row in rows if row["policy"] == selector], amusic["compute"])
+    """One sentence on a recording: a selector against A-MuSIC."""
+    paper, same = (
+        next(row for row in rows if row["policy"] == name) for name in ("amusic", "amusic:evidence")
+    )
+    own = best_within([row for row in rows if row["policy"] == selector], same["compute"])
     return (
-        f"On {bank}, which no training saw, the selector trained here reaches AUC {own['auc']:.3f}"
-        f" at {own['compute']:.1%} compute (λ {own['compute_weight']:g}); A-MuSIC"
-        f" {amusic['auc']:.3f} at {amusic['compute']:.0%}."
+        f"On {bank}, which no training saw, {selector} reaches AUC {own['auc']:.3f} at"
+        f" {own['compute']:.1%} of the compute (λ {own['compute_weight']:g}); A-MuSIC"
+        f" {paper['auc']:.3f} at {paper['compute']:.0%}, on the selector's statistic"
+        f" {same['auc']:.3f} at {same['compute']:.0%}."
     )

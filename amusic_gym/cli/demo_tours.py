@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, closing
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,9 +32,12 @@ from amusic_gym.worlds import Kind, render_folders
 TECHNIQUES = ("hog", "calc", "netvlad", "cohog")
 TOLERANCE = 1
 PLACES = 100
-SEEDS = (1, 2, 3)
+TOURS = 3
+WORKERS = 2
+FIRST_WORLD = 4_000
+"""Seed of the first world; what ships was trained on others."""
+
 STOPS_SEED = 3
-EXECUTOR = "process:2"
 COMPUTE_WEIGHT = 0.3
 INTO_SPELL = 20
 """Frames into a spell: the image of it that the contact sheet shows."""
@@ -44,31 +50,44 @@ class DemoWorld(NamedTuple):
     """A rendered world, and how it looks on the second drive through it."""
 
     kind: Kind
-    seed: int
     condition: str
 
 
 WORLDS = (
-    DemoWorld("street", 4_000, "shift"),
-    DemoWorld("rail", 4_001, "night+shift"),
-    DemoWorld("corridor", 4_002, "shift+crowd"),
+    DemoWorld("street", "shift"),
+    DemoWorld("rail", "night+shift"),
+    DemoWorld("corridor", "shift+crowd"),
 )
 
 
-def make_tours(out: Path, say: Callable[[str], None]) -> list[Tour]:
-    """Render the worlds to ``out/images``, and join them in another order for every seed.
+def make_tours(out: Path, first: int, say: Callable[[str], None]) -> list[Tour]:
+    """Tours through worlds of their own, rendered to ``out/images``; what is there is kept.
 
-    What is there from an earlier call is not done again.
+    Args:
+        out: the demo's folder.
+        first: seed of the first tour.
+        say: is told what is done.
     """
-    parts = []
-    for world in WORLDS:
-        images = out / "images" / world.kind
-        say(f"rendering a {world.kind}: the map, and a drive in {world.condition}")
-        render_folders(images, [world.condition], seed=world.seed, places=PLACES, kind=world.kind)
-        parts.append((images / "reference", images / world.condition))
-    turns = [number % len(parts) for number in range(len(SEEDS))]
-    orders = [parts[turn:] + parts[:turn] for turn in turns]
-    return [make_tour(order, seed=seed) for order, seed in zip(orders, SEEDS, strict=True)]
+    seeds = range(first, first + TOURS)
+    jobs = [
+        (out / "images" / f"{seed}" / world.kind, world, FIRST_WORLD + len(WORLDS) * seed + at)
+        for seed in seeds
+        for at, world in enumerate(WORLDS)
+    ]
+    with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as pool:
+        parts = []
+        for part in pool.map(partial(_render, PLACES), *zip(*jobs, strict=True)):
+            say(f"rendered {part[0].parent.relative_to(out)}: the map, and a drive")
+            parts.append(part)
+    count = len(WORLDS)
+    return [make_tour(parts[at * count :][:count], seed=seed) for at, seed in enumerate(seeds)]
+
+
+def _render(places: int, folder: Path, world: DemoWorld, seed: int) -> tuple[Path, Path]:
+    """Folders of the map and of the drive."""
+    cv2.setNumThreads(1)
+    render_folders(folder, [world.condition], seed=seed, places=places, kind=world.kind)
+    return folder / "reference", folder / world.condition
 
 
 def banks_of(tours: Sequence[Tour], out: Path, say: Callable[[str], None]) -> list[ScoreBank]:
@@ -86,7 +105,7 @@ def banks_of(tours: Sequence[Tour], out: Path, say: Callable[[str], None]) -> li
                 ground_truth=tour.ground_truth(TOLERANCE),
                 source=tour.source,
                 cache=cache,
-                executor=EXECUTOR,
+                executor=f"process:{WORKERS}",
                 name=name,
                 out=out / "banks" / name,
             )
@@ -116,7 +135,7 @@ def drive(out: Path, selector: Selector, tour: Tour, bank: ScoreBank) -> Path:
 
     Args:
         out: the demo's folder.
-        selector: the trained one.
+        selector: who drives.
         tour: the route.
         bank: of the same images; gives the costs and what is true.
 
@@ -143,7 +162,7 @@ def drive(out: Path, selector: Selector, tour: Tour, bank: ScoreBank) -> Path:
             ground_truth=bank.truth,
         )
         video = stack.enter_context(VideoWriter(out / "drive.mp4", RENDER_FPS))
-        pictures = Pictures(route, f"{bank.name}, learned selector")
+        pictures = Pictures(route, f"{bank.name}, selector")
         for result in navigate(selector, route, compute_weight=COMPUTE_WEIGHT):
             picture = pictures.draw(result)
             video.write(picture)

@@ -1,8 +1,9 @@
 """Run the paper's experiments on those of its data sets that are there.
 
 Writes DIR/index.html, tables.md, tables II and III as CSV and LaTeX, figures 3 to 7 as PNG and PDF,
-a sweep of E and M, results.json and the traces. DIR/banks holds the scores; what is finished is not
-done again. docs/datasets.md says how the folders of --root are laid out.
+a sweep of E and M, results.json and the traces; of several data sets, one drive along all, too.
+DIR/banks holds the scores; what is finished is not done again. docs/datasets.md says how the
+folders of --root are laid out.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Study policies on score banks: as recorded and re-timed, over seeds and λ; it may take hours.
+"""Study policies on score banks, over motions, seeds and λ; it may take hours.
 
 POLICY: as compare takes them; POLICY@STATISTIC runs one under another statistic, for an ablation.
-Seed s re-times every bank in its own way, is the seed of policies that draw, and the s-th run of a
---selector. Every finished cell is kept in DIR/cells: after Ctrl-C or a kill the same command goes
+Seed s moves along every bank in its own way, is the seed of policies that draw, and the s-th run of
+a --selector. Every finished cell is kept in DIR/cells: after Ctrl-C or a kill the same command goes
 on where it was, and a longer one computes only what is new or changed. Writes DIR/study.json,
 tables.md, the figures and a page, index.html.
 """
@@ -41,7 +41,7 @@ def add_arguments(parser: Parser) -> None:
     add("--seeds", type=int, default=study.SEED_COUNT, metavar="N", help="(default: %(default)s)")
     add("--first-seed", type=int, default=0, metavar="S", help="the first of them (default: 0)")
     kinds = study.CONDITIONS
-    add("--conditions", nargs="+", choices=kinds, default=kinds, help="(default: both)")
+    add("--conditions", nargs="+", choices=kinds, default=kinds, help="motions (default: all)")
     parser.add_shared("--executor")
     add("--dry-run", action="store_true", help="only count the cells and those that are finished")
 

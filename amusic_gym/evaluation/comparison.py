@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from textwrap import fill
 from typing import Any, TypeVar
 
 import numpy as np
@@ -20,6 +21,7 @@ from amusic_gym.banks.bank_files import refuse_within_bank
 from amusic_gym.estimation.settings import SICSettings, statistic_label
 from amusic_gym.evaluation import metrics, rollout, store
 from amusic_gym.evaluation.audit import Audit, audit, parting
+from amusic_gym.evaluation.columns import COLUMNS, OTHERS, legend
 from amusic_gym.evaluation.contestants import Contestant
 from amusic_gym.evaluation.lists import write_lists
 from amusic_gym.evaluation.tables import Table, footnote, marked
@@ -257,27 +259,29 @@ def spread(items: Sequence[_Item], count: int) -> list[_Item]:
 # ---- table ---------------------------------------------------------------------------------
 
 
-COLUMNS = {
-    **{name: name.replace("_", " ") for name in ("accuracy", "auc", "auc_vprbench", "auc_paper")},
-    **{column: f"R@{n}" for column, n in metrics.RECALLS.items()},
-    "recall_at_100_precision": "R@100%P",
-    **{name: name for name in ("ptr", "compute", "reselections", "lost")},
-}
-"""Column of ``results.json`` -> its head."""
+SHOWN = (
+    *("accuracy", "auc", "auc_vprbench", "auc_paper", *metrics.RECALLS),
+    *("recall_at_100_precision", "ptr", "compute", "reselections", "lost"),
+)
+"""Columns of ``results.json`` in a terminal."""
+
+LINE = 100
+"""Letters of a line of text below a table."""
 
 
 def table(comparison: Comparison) -> str:
     """The rows as text, a block per bank, and their mean where there are several banks.
 
-    Below, which of them need ground truth, and a warning for every policy and bank where p̂ and the
-    truth part.
+    Below, what the columns mean, which policies need ground truth, and a warning for every policy
+    and bank where p̂ and the truth part.
     """
     needs = comparison.needs_truth
     blocks = [_block(bank, rows, needs) for bank, rows in rows_by_bank(comparison.rows).items()]
     if len(blocks) > 1 and comparison.mean:
         blocks.append(_block(f"mean over {len(blocks)} banks", comparison.mean, needs))
     note = footnote((row["policy"] for row in comparison.rows), needs)
-    return "\n\n".join(filter(None, [*blocks, note, "\n".join(partings(comparison.traces))]))
+    below = [fill(legend(SHOWN), LINE), note, "\n".join(partings(comparison.traces))]
+    return "\n\n".join(filter(None, [*blocks, *below]))
 
 
 def partings(traces: Sequence[Trace]) -> list[str]:
@@ -294,13 +298,13 @@ def partings(traces: Sequence[Trace]) -> list[str]:
 
 def _block(title: str, rows: Sequence[dict[str, Any]], needs_truth: dict[str, str]) -> str:
     title = f"{title} ({rows[0]['queries']} frames, {rows[0]['costs']} costs)"
-    heads = ["policy", "λ", "SIC", *COLUMNS.values()]
+    heads = ["policy", *OTHERS, *(COLUMNS[name].heading for name in SHOWN)]
     return Table(title, heads, [_cells(row, needs_truth) for row in rows], words=3).text()
 
 
 def _cells(row: dict[str, Any], needs_truth: dict[str, str]) -> list[str]:
     weight = "" if row["compute_weight"] is None else f"{row['compute_weight']:g}"
-    values = [f"{row[n]:g}" if n == "reselections" else f"{row[n]:.4f}" for n in COLUMNS]
+    values = [f"{row[n]:g}" if n == "reselections" else f"{row[n]:.4f}" for n in SHOWN]
     statistic = statistic_label(row["statistic"], row["carry"])
     return [marked(row["policy"], needs_truth), weight, statistic, *values]
 

@@ -62,8 +62,13 @@ FRONTS = {name: family.front for name, family in FAMILIES.items() if family.fron
 
 
 def front_of(policy: str, family: str) -> str | None:
-    """What the front is called that a policy is part of; None: of none."""
-    return None if family == VARIANT else FRONTS.get(family, policy)
+    """What the front is called that a policy is part of; None: of none.
+
+    Those of a peer with whatever argument make one.
+    """
+    if family == VARIANT:
+        return None
+    return FRONTS.get(family, parse(policy).policy.name if family == PEER else policy)
 
 
 class Facts(NamedTuple):

@@ -10,6 +10,7 @@ from amusic_baselines import (
     dynmpf,
     hmm,
     hmpf,
+    lazygraph,
     mpf,
     oracle,
     periodic,
@@ -19,6 +20,7 @@ from amusic_baselines import (
     switchhit,
     uniform,
     voi,
+    xu,
 )
 from amusic_gym.policies.registry import RegisteredPolicy, make_policy
 
@@ -42,6 +44,8 @@ POLICIES: dict[str, RegisteredPolicy] = {
         plurality.POLICY,
         borda.POLICY,
         hmm.POLICY,
+        xu.POLICY,
+        lazygraph.POLICY,
     )
 }
 

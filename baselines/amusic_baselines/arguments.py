@@ -36,6 +36,21 @@ def columns(policy: str, argument: str, names: str, context: Context) -> list[in
     return [context.index(name) for name in given]
 
 
+def technique_parts(
+    policy: str, argument: str, form: str, context: Context
+) -> tuple[list[int], list[str]]:
+    """Indices of the techniques that lead an argument, all if none do, and its other parts.
+
+    Raises:
+        ValueError: for another number of parts, an unknown technique, or one named twice.
+    """
+    names, _, rest = argument.partition("/")
+    if len(argument.split("/")) <= len(form.split("/")):
+        return list(range(len(context.techniques))), parts(policy, argument, form)
+    found = parts(policy, rest, form)
+    return columns(policy, argument, names, context), found
+
+
 def whole(policy: str, argument: str, name: str, text: str, least: int, most: int) -> int:
     """A whole number out of ``argument``, called ``name`` in the sentence that refuses."""
     short = text.isascii() and text.isdigit() and len(text) < 20  # Python refuses endless numbers

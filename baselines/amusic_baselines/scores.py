@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +16,12 @@ RADIUS = 20
 
 def every_row(run: Run, techniques: int) -> NDArray[np.float64]:
     """(T, R) rows of all techniques, each of which is charged; see `floored`."""
-    rows = np.stack([run(technique) for technique in range(techniques)])
+    return rows_of(run, range(techniques))
+
+
+def rows_of(run: Run, techniques: Sequence[int]) -> NDArray[np.float64]:
+    """(n, R) rows of some techniques, as `every_row`."""
+    rows = np.stack([run(technique) for technique in techniques])
     return floored(rows.astype(np.float64))
 
 

@@ -47,3 +47,21 @@ class Cycle:
         if self.needs.reselection is not None:
             actions = np.column_stack([actions, (info["frame"] + 1) % 7 == 3])
         return actions
+
+
+def rows_of(bank, frame):
+    """A `Run` of one frame of a bank, and the list of what it ran."""
+    asked = []
+
+    def run(technique):
+        asked.append(technique)
+        return bank.row(technique, frame)
+
+    return run, asked
+
+
+def localise(policy, bank):
+    """Places and confidences of a whole bank."""
+    policy.reset(bank.references, len(bank.techniques))
+    frames = range(bank.queries)
+    return zip(*(policy.locate(q, rows_of(bank, q)[0]) for q in frames), strict=True)

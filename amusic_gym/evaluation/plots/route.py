@@ -29,11 +29,18 @@ if TYPE_CHECKING:
 LEAST_SHARE_NAMED = 0.06  # narrower bar segments carry no number
 
 
-def selections(traces: Sequence[Trace], path: str | Path) -> Path:
+def selections(
+    traces: Sequence[Trace], path: str | Path, *, parts: Sequence[tuple[int, str]] = ()
+) -> Path:
     """Which techniques ran along the route, a panel per trace.
 
     One lane per technique, filled where it ran on the frame, hatched where it ran after the fact;
     lines at selections; the share of frames on the right; below, where the place was wrong.
+
+    Args:
+        traces: of one bank.
+        path: of the picture.
+        parts: first frame and name of each part of the route, which dotted lines part.
     """
     bank = only({trace.bank for trace in traces}, "bank", "traces")
     lanes = [len(trace.techniques) for trace in traces]
@@ -48,7 +55,11 @@ def selections(traces: Sequence[Trace], path: str | Path) -> Path:
             axes.set_title(_headline(trace), fontsize=9.5)
             axes.set_title("share", loc="right", fontsize=8, x=1.045, color=GREY)
         figure.suptitle(f"Techniques run along {labels.bank_label(bank)}", x=0.01, ha="left")
-        panels[-1].set_xlabel("Frame")
+        named = ", ".join(f"from {first}: {name}" for first, name in parts)
+        panels[-1].set_xlabel(f"Frame; {named}" if parts else "Frame")
+        for axes in panels:
+            for first, _ in parts[1:]:
+                axes.axvline(first - 0.5, color=INK, linestyle=":", linewidth=1.4)
         figure.legend(
             handles=_lane_legend(traces),
             loc="outside lower center",

@@ -107,3 +107,22 @@ def drives(traces: Sequence[Trace], out: Path) -> Iterator[ReportFigure]:
             out / f"figure7-{name}.png",
             f"Figure 7, {TITLES[name]}: what A-MuSIC runs; lines are selections.",
         )
+
+
+def one_drive(
+    traces: Sequence[Trace], parts: Sequence[tuple[int, str]], path: Path
+) -> ReportFigure:
+    """Figure 7 of the data sets in one drive.
+
+    Args:
+        traces: of the drive.
+        parts: first frame and data set of each part.
+        path: of the PNG.
+    """
+    adaptive = [trace for trace in traces if trace.policy == METHODS["A-MuSIC"]]
+    named = [(first, TITLES[name]) for first, name in parts]
+    return both(
+        lambda path: plots.selections(adaptive, path, parts=named),
+        path,
+        f"Figure 7, {', '.join(name for _, name in named)} in one drive: what A-MuSIC runs.",
+    )

@@ -7,11 +7,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.extraction import extract
 from amusic_gym.routes.datasets import DATASETS, LoadedRoute, load_dataset
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.techniques import make_technique
+
+ONE_DRIVE = "one_drive"
+"""Name of the data sets joined."""
 
 SMALL = 100
 """Images with a side of fewer pixels are not the paper's."""
@@ -68,6 +74,39 @@ def find(name: str, root: str | os.PathLike[str]) -> Route:
         return Route(name, *load(name, root))
     except FileNotFoundError as error:
         return Route(name, None, (str(error),))
+
+
+def joined(parts: Sequence[LoadedDataset]) -> LoadedDataset:
+    """Data sets one after the other on one map, driven in one go.
+
+    Figure 7 and the words on it suggest such a drive: "when entering the Fall sequence". Where two
+    have the same reference, as Winter and Fall do, the map shows its places twice, and both are
+    true.
+
+    Args:
+        parts: in the order of the drive.
+    """
+    begins = np.cumsum([0, *(len(part.reference) for part in parts)]).tolist()
+    true = []
+    for part in parts:
+        twins = [
+            begin
+            for begin, other in zip(begins, parts, strict=False)
+            if other.reference.paths == part.reference.paths
+        ]
+        truth = part.ground_truth
+        true += [
+            np.concatenate([places + begin for begin in twins])
+            for places in np.split(truth.places, truth.indptr[1:-1])
+        ]
+    truth = GroundTruth.from_lists(true, begins[-1])
+    return LoadedDataset(
+        ONE_DRIVE,
+        ImageFolder.join(part.reference for part in parts),
+        ImageFolder.join(part.query for part in parts),
+        truth,
+        truth.half_run(),
+    )
 
 
 def extracted(

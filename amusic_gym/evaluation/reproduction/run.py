@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,10 @@ from amusic_gym.evaluation.contestants import contestants
 from amusic_gym.evaluation.report import ReportFigure, write_report
 from amusic_gym.evaluation.reproduction import figures, sweeps, tables
 from amusic_gym.evaluation.reproduction.paper import METHODS, TECHNIQUES, TITLES
-from amusic_gym.evaluation.reproduction.routes import extracted, find
+from amusic_gym.evaluation.reproduction.routes import extracted, find, joined
 from amusic_gym.evaluation.tables import Table
 from amusic_gym.policies.trace import Trace
+from amusic_gym.routes.datasets import LoadedDataset
 from amusic_gym.utils.storage import write_whole
 
 SHIPS = ("calc", "netvlad")
@@ -67,6 +69,7 @@ def reproduce(
     paper = compare(
         banks, lambda _: contestants([*METHODS.values()]), out, statistic="mean", report=report
     )
+    drive = _driven_in_one(there, out, how, report)
     swept = compare(
         banks,
         lambda _: contestants(sweeps.ADAPTIVE),
@@ -79,7 +82,8 @@ def reproduce(
     for row in sweeps.ablate(banks):
         ablated.append(row)
         report("K {candidates}, F {history}: accuracy {accuracy:.3f}".format(**row))
-    cells, adapted = tables.performance(paper.traces), tables.adaptation(paper.traces)
+    traces = [*paper.traces, *drive]
+    cells, adapted = tables.performance(traces), tables.adaptation(traces)
     numbers = {"table2": cells, "table3": adapted, "ablation": ablated, "sweep": swept.mean}
     write_whole(out / "reproduction.json", json.dumps(numbers, indent=1).encode() + b"\n")
 
@@ -91,7 +95,10 @@ def reproduce(
             f"Ours on {', '.join(TITLES[bank.name] for bank in banks)}, beside what the paper says."
         ],
         rows=[*paper.mean, *paper.rows],
-        figures=_draw(ablated, cells, paper.traces, swept.mean, out),
+        figures=[
+            *_draw(ablated, cells, paper.traces, swept.mean, out),
+            *_drawn_in_one(there, drive, out),
+        ],
         traces=paper.traces,
         images=paper.images,
         highlights=[
@@ -101,6 +108,32 @@ def reproduce(
         ],
         tables=shown,
     )
+
+
+def _driven_in_one(
+    there: Sequence[LoadedDataset],
+    out: Path,
+    how: Mapping[str, Any],
+    report: Callable[[str], None],
+) -> list[Trace]:
+    """Traces of all methods along the data sets as one drive; of a single one there is none."""
+    if len(there) < 2:
+        return []
+    names = [name.lower() for name in TECHNIQUES]
+    bank = extracted(joined(there), out / "banks", techniques=names, **how)
+    made = contestants([*METHODS.values()])
+    driven = compare([bank], lambda _: made, out / bank.name, statistic="mean", report=report)
+    return list(driven.traces)
+
+
+def _drawn_in_one(
+    there: Sequence[LoadedDataset], drive: Sequence[Trace], out: Path
+) -> list[ReportFigure]:
+    if not drive:
+        return []
+    firsts = accumulate((len(found.query) for found in there), initial=0)
+    parts = [(first, found.name) for first, found in zip(firsts, there, strict=False)]
+    return [figures.one_drive(drive, parts, out / f"figure7-{drive[0].bank}.png")]
 
 
 def _write_tables(

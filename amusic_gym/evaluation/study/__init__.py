@@ -1,4 +1,4 @@
-"""A study: policies × routes × {as recorded, re-timed} × seeds × λ, cell by cell, resumable.
+"""A study: policies × routes × motions × seeds × λ, cell by cell, resumable.
 
 `cells` says what a cell is and computes it, `plan` and `run` make them, serially, in processes or
 on a Ray cluster. From their numbers `fronts` and `field` reckon

@@ -1,4 +1,4 @@
-"""One cell of a study: a policy with one λ on one route, as recorded or re-timed with one seed."""
+"""One cell of a study: a policy with one λ on one route, moving in one way."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.extraction.shards import Advance, nothing
 from amusic_gym.policies.protocol import Context, Policy
 from amusic_gym.policies.trace import Trace
+from amusic_gym.routes.motion import KIDNAPPED, PACED, RECORDED
 from amusic_gym.routes.retime import retime
 from amusic_gym.utils.threads import alone
 
-RECORDED, RETIMED = "recorded", "retimed"
-CONDITIONS = {RECORDED: "as recorded", RETIMED: "re-timed"}
-"""The route as it was recorded, or driven through with stops, other speeds and jumps; in words."""
+CONDITIONS = {RECORDED: "as recorded", PACED: "paced", KIDNAPPED: "kidnapped"}
+"""Motion along a recording, see `amusic_gym.routes.motion`, → in the words of tables."""
 
 Measures = dict[str, Any]
 
@@ -35,14 +35,14 @@ class Bench:
 
     def __init__(self, banks: Sequence[ScoreBank]) -> None:
         self.banks = tuple(banks)
-        self._last: tuple[tuple[int, int], ScoreBank] | None = None
+        self._last: tuple[tuple[int, str, int], ScoreBank] | None = None
 
-    def route(self, bank: int, retiming: int | None) -> ScoreBank:
+    def route(self, bank: int, motion: str, seed: int | None) -> ScoreBank:
         """A recording, re-timed if there is a seed for it; the last one is remembered."""
-        if retiming is None:
+        if seed is None:
             return self.banks[bank]
-        if self._last is None or self._last[0] != (bank, retiming):
-            self._last = (bank, retiming), retime(self.banks[bank], retiming)
+        if self._last is None or self._last[0] != (bank, motion, seed):
+            self._last = (bank, motion, seed), retime(self.banks[bank], seed, motion)
         return self._last[1]
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -59,7 +59,7 @@ class Cell:
         bank: index in the bench.
         make: builds the policy; a function of a module, or a partial of one.
         chosen: ``statistic``, ``carry`` and ``discount`` of a policy that does not bring its own.
-        retiming: seed of the re-timing; None: as recorded.
+        retiming: seed of the motion; None: as recorded.
         seed: for policies that draw.
         size: frames.
     """
@@ -87,7 +87,7 @@ class Cell:
         return measures
 
     def _play(self, bench: Bench) -> Trace:
-        bank = bench.route(self.bank, self.retiming)
+        bank = bench.route(self.bank, self.labels["condition"], self.retiming)
         return rollout(
             self.make(Context.of(bank, seed=self.seed, **self.chosen)),
             bank,

@@ -1,4 +1,4 @@
-"""The figures of a study: what the compute buys, as recorded and re-timed, and on every route."""
+"""The figures of a study: what the compute buys under every motion, over all routes and on each."""
 
 from __future__ import annotations
 
@@ -24,6 +24,8 @@ from amusic_gym.policies.registry import (
     MAY_IDLE,
     PEER,
     VARIANT,
+    Spec,
+    front_of,
     parse,
 )
 from amusic_gym.utils.storage import keep_only
@@ -83,6 +85,7 @@ def _draw(findings: Findings, scopes: Sequence[str], path: Path) -> None:
     """A row of panels for each scope, a column for each condition."""
     conditions = findings.settings["conditions"]
     rows = tradeoff.placed([r for r in findings.points if r["bank"] in scopes and _is_shown(r)])
+    rows = _without_worse_peers(rows)
     styles = _styles(findings)
     height = 4.3 if len(scopes) == 1 else 3.4
     width = max(7.6, 5.6 * len(conditions))  # inches
@@ -116,6 +119,17 @@ def _draw(findings: Findings, scopes: Sequence[str], path: Path) -> None:
             place_notes(figure, axes, named, [(row["compute"], row["auc"]) for row in shown])
 
 
+def _without_worse_peers(rows: Sequence[Row]) -> list[Row]:
+    """The rows without those settings of a peer that another beats for no more compute."""
+    of: dict[tuple[str | None, ...], list[Row]] = {}
+    for row in rows:
+        if row["family"] == PEER:
+            front = front_of(row["policy"], PEER)
+            of.setdefault((row["bank"], row["condition"], front), []).append(row)
+    best = [row for group in of.values() for row in tradeoff.pareto(group)]
+    return [row for row in rows if row["family"] != PEER or row in best]
+
+
 def _bands(findings: Findings, scopes: Sequence[str]) -> str:
     many = MEAN in scopes and len(findings.routes) >= LEAST_ROUTES
     over = "seeds and routes" if many else "seeds"
@@ -133,7 +147,7 @@ def _where(findings: Findings, scope: str) -> str:
 def _styles(findings: Findings) -> dict[str, _Style]:
     of = {row["policy"]: row["family"] for row in findings.points if _is_shown(row)}
     learned = [name for name, family in of.items() if family == LEARNED]
-    peers = [name for name, family in of.items() if family == PEER]
+    peers = [*dict.fromkeys(parse(n).policy for n, family in of.items() if family == PEER)]
     styles = {}
     for name, family in of.items():
         known = parse(name)
@@ -143,8 +157,8 @@ def _styles(findings: Findings) -> dict[str, _Style]:
             colour = LEARNED_COLOURS[at % len(LEARNED_COLOURS)]
             marker = LEARNED_MARKS[at % len(LEARNED_MARKS)]
         elif family == PEER:
-            colour, marker = PEER_COLOUR, PEER_MARKS[peers.index(name) % len(PEER_MARKS)]
-        label = known.label
+            colour, marker = PEER_COLOUR, PEER_MARKS[peers.index(known.policy) % len(PEER_MARKS)]
+        label = Spec(known.policy, None).label if family == PEER else known.label
         if MARK not in label and name in findings.settings["needs_truth"]:
             label += f" {MARK}"
         styles[name] = _Style(colour, marker, labels.legend_name(label))

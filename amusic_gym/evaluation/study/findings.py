@@ -223,7 +223,8 @@ class _Scope:
         """Rows for every point of a learned selector, one for each kind of rival in the field.
 
         The rival is chosen as if one had known beforehand which is best here: a head start for it.
-        What costs the same to within `ROUNDING` is no dearer.
+        Of those that three digits do not tell apart it is the cheapest. What costs the same to
+        within `ROUNDING` is no dearer.
         """
         points = self.field.points
         fronts = [front_of(point.policy, point.family) for point in points]
@@ -238,7 +239,7 @@ class _Scope:
                 if name == fronts[p]:
                     continue
                 affordable = cheap & np.array([front == name for front in fronts])
-                best = _place(auc, affordable)
+                best = _place(auc.round(3) - 1e-4 * compute, affordable)  # which is at most 1
                 row: Row = {
                     **self.labels,
                     **{"policy": point.policy, "compute_weight": point.compute_weight},

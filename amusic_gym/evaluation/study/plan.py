@@ -14,9 +14,10 @@ from amusic_gym.evaluation import store
 from amusic_gym.evaluation.comparison import check_banks
 from amusic_gym.evaluation.contestants import Contestant
 from amusic_gym.evaluation.study import cells as measuring
-from amusic_gym.evaluation.study.cells import CONDITIONS, LABELS, RETIMED, Bench, Cell
+from amusic_gym.evaluation.study.cells import CONDITIONS, LABELS, Bench, Cell
 from amusic_gym.policies.protocol import Context, Correction
 from amusic_gym.policies.registry import FAMILIES, FRONTS
+from amusic_gym.routes.motion import RECORDED
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import distinct, suggest
 
@@ -59,7 +60,7 @@ class Plan:
         cells: in the order of tables: routes, conditions, seeds, policies.
         routes: of each recording ``bank`` (its name), ``queries``, ``references``, ``techniques``,
             ``seconds`` and ``cheapest``, the least compute of a policy that always runs one.
-        settings: ``conditions``; ``seeds`` of re-timing, of policies that draw, and numbers of
+        settings: ``conditions``; ``seeds`` of motions, of policies that draw, and numbers of
             trainings; ``statistic``, ``carry`` and ``discount`` of policies that do not bring their
             own; ``costs``, the cost model; ``needs_truth``: name of an entrant → of what it needs
             ground truth.
@@ -85,7 +86,7 @@ def make_plan(
 
     Every policy is built once for every bank, so that a wrong name is refused before anything
     runs. As recorded, an entrant has a cell per contestant and λ, and one per seed if it draws;
-    re-timed, one per seed and λ: seed i goes with contestant i, if there are several.
+    in another motion, one per seed and λ: seed i goes with contestant i, if there are several.
 
     Args:
         banks: the routes, with the costs to reckon with. A name that several share is numbered.
@@ -208,7 +209,7 @@ class _Planner:
     ) -> Cell:
         entrant, seed = job.entrant, self.seeds[at]
         contestant = entrant.contestants[at % len(entrant.contestants)]
-        retiming = seed if condition == RETIMED else None
+        retiming = None if condition == RECORDED else seed
         key = {
             **shared,
             **job.own._asdict(),
@@ -252,7 +253,7 @@ class _Job:
 
     def varies(self, condition: str) -> bool:
         """Whether the seed makes a difference."""
-        return condition == RETIMED or self.entrant.draws or len(self.entrant.contestants) > 1
+        return condition != RECORDED or self.entrant.draws or len(self.entrant.contestants) > 1
 
 
 def _check_names(names: Sequence[str]) -> None:

@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation.contestants import COMPUTE_WEIGHTS
 from amusic_gym.evaluation.study.findings import Findings, find
 from amusic_gym.evaluation.study.lineup import Lineup
 from amusic_gym.evaluation.study.plan import make_plan
-from amusic_gym.evaluation.study.run import run
+from amusic_gym.evaluation.study.run import Report, run
 from amusic_gym.evaluation.study.tables import write_markdown
+from amusic_gym.routes.motion import RECORDED
 
 DRAWS = 5
 """Of every policy that draws."""
@@ -35,22 +37,61 @@ def rivals(techniques: Sequence[str]) -> list[str]:
     ]
 
 
+def rivals_in_motion(techniques: Sequence[str]) -> list[str]:
+    """Rules for the statistic `belief`: smaller grids, since there are more drives."""
+    return [
+        *("amusic", "amusic:evidence", "amusic:belief", "oracle", "voi", "voi:idle"),
+        *(f"random:{p}" for p in (0.05, 0.1, 0.2, 0.3, 0.5, 0.7)),
+        *(f"periodic:{n}{tail}" for n in (2, 5, 10) for tail in ("", f"/{techniques[-1]}")),
+        *(
+            f"cascade:{cheap}/{hold}/{doubt}"
+            for cheap in (1, 2)
+            for hold in (3, 20)
+            for doubt in (0.3, 0.5, 0.7, 0.9)
+        ),
+    ]
+
+
+def peers(techniques: Sequence[str]) -> list[str]:
+    """Peers from the literature; of filters and graphs a grid of windows and sharpnesses."""
+    windows = ("2/9", "0/4", "0/2")
+    return [
+        *(f"raw:{name}" for name in techniques),
+        *("mpf", "hmpf", "dynmpf", "switchhit", "plurality", "borda", "hmm", "hmm:0.3/0.02"),
+        *(f"xu:{window}/{delta}" for window in windows for delta in (5, 50, 500)),
+        *(f"xu:{name}/0/2/50" for name in techniques),
+        *(f"lazygraph:{fan_out}/0.7/6" for fan_out in (2, 5, 10)),
+        *("lazygraph:5/0.9/6", *(f"lazygraph:{name}/5/0.7/6" for name in techniques)),
+    ]
+
+
 def study_rivals(
     banks: Sequence[ScoreBank],
     selectors: Mapping[str, Sequence[str]],
     out: Path,
     executor: str = "serial",
+    *,
+    policies: Sequence[str] | None = None,
+    statistic: str = SICSettings.statistic,
+    conditions: Sequence[str] = (RECORDED,),
+    draws: int | None = None,
+    report: Report = lambda line: None,
 ) -> Findings:
-    """Selectors against all fixed subsets and `rivals`; ``out`` keeps what is finished.
+    """Selectors against all fixed subsets and rules; ``out`` keeps what is finished.
 
     Args:
         banks: with the same techniques and cost model.
         selectors: name → policies, one for all draws or one for each.
         out: the folder.
         executor: as `run` takes it.
+        policies: the rules; by default `rivals`.
+        statistic: of what does not bring its own.
+        conditions: motions along the banks.
+        draws: of policies that draw and of motions; by default `DRAWS`.
+        report: is given one line per finished cell.
     """
     lineup = Lineup(
-        policies=tuple(rivals(banks[0].techniques)),
+        policies=tuple(rivals(banks[0].techniques) if policies is None else policies),
         selectors={name: tuple(runs) for name, runs in selectors.items()},
         all_subsets=True,
         insisted={},
@@ -59,10 +100,11 @@ def study_rivals(
     plan = make_plan(
         banks,
         lambda bank: lineup.entrants(bank.techniques),
-        seeds=range(DRAWS),
-        conditions=("recorded",),
+        statistic=statistic,
+        seeds=range(DRAWS if draws is None else draws),
+        conditions=conditions,
     )
-    findings = find(plan, run(plan, out, executor=executor, report=lambda _: None))
+    findings = find(plan, run(plan, out, executor=executor, report=report))
     findings.write(out)
     write_markdown(findings, out)
     return findings

@@ -30,7 +30,7 @@ def tables(findings: Findings) -> list[Table]:
     conditions = findings.settings["conditions"]
     made += [_fronts(findings, condition) for condition in conditions]
     for scope in scopes if findings.matches else []:
-        made += [_matches(findings, condition, scope) for condition in conditions]
+        made += [matches_table(findings, condition, scope) for condition in conditions]
     if findings.margins:
         made.append(_margins(findings))
     if findings.audit:
@@ -80,10 +80,10 @@ def _point_cells(row: Row, scope: str) -> list[str]:
     cells = [
         f"{row['auc']:.3f}",
         _interval(row["auc_interval"]),
-        _percent(row["compute"]),
+        percent(row["compute"]),
         f"{row['accuracy']:.3f}",
     ]
-    return [*cells, _maybe(row["gap_closed"], _percent)] if scope == MEAN else cells
+    return [*cells, _maybe(row["gap_closed"], percent)] if scope == MEAN else cells
 
 
 def _title(findings: Findings, scope: str) -> str:
@@ -110,7 +110,7 @@ def _points_note(findings: Findings, scope: str) -> str:
             "Gap closed: share of the way from the single best to the virtual best fixed subset, "
             "both within the same compute."
         )
-    return _noted(findings, " ".join(parts), [row["policy"] for row in rows])
+    return noted(findings, " ".join(parts), [row["policy"] for row in rows])
 
 
 def _fronts(findings: Findings, condition: str) -> Table:
@@ -126,10 +126,7 @@ def _fronts(findings: Findings, condition: str) -> Table:
         [
             row["bank"],
             _marked(findings, row["front"]),
-            _maybe(row["hypervolume"], _three),
-            _interval(row["hypervolume_interval"]),
-            _percent(row["begins"]),
-            *(_maybe(value, _three) for value in row["auc_at"]),
+            *front_cells(row),
         ]
         for row in shown
     ]
@@ -138,11 +135,21 @@ def _fronts(findings: Findings, condition: str) -> Table:
         "over log compute, from the cheapest technique's compute to 1, as a share of the greatest "
         "there could be. Policies that always run everything have none and are left out."
     )
-    note = _noted(findings, note, [row["front"] for row in shown])
+    note = noted(findings, note, [row["front"] for row in shown])
     return Table(f"Fronts, {CONDITIONS[condition]}", heads, rows, note, words=2)
 
 
-def _matches(findings: Findings, condition: str, scope: str) -> Table:
+def front_cells(row: Row) -> list[str]:
+    """Of a front: hypervolume, its interval, where it begins, AUC at `SHOWN_COMPUTES`."""
+    return [
+        _maybe(row["hypervolume"], three),
+        _interval(row["hypervolume_interval"]),
+        percent(row["begins"]),
+        *(_maybe(value, three) for value in row["auc_at"]),
+    ]
+
+
+def matches_table(findings: Findings, condition: str, scope: str = MEAN) -> Table:
     """Every point of the learned selectors, and the best rival of each kind at no more compute."""
     here = (condition, scope)
     shown = [row for row in findings.matches if (row["condition"], row["bank"]) == here]
@@ -160,17 +167,17 @@ def _matches(findings: Findings, condition: str, scope: str) -> Table:
     for (policy, weight), of in matched.items():
         own = next(iter(of.values()))
         start = [_marked(findings, policy), "" if weight is None else f"{weight:g}"]
-        start += [_percent(own["compute"]), _three(own["auc"]), _interval(points[policy, weight])]
+        start += [percent(own["compute"]), three(own["auc"]), _interval(points[policy, weight])]
         rows.append([*start, *(_rival(of.get(kind)) for kind in against)])
     where = f"mean over {len(findings.routes)} routes" if scope == MEAN else scope
     title = f"The best of each kind at no more compute, {CONDITIONS[condition]}: {where}"
     note = (
         "Each column: the best AUC of its kind at no more compute than the selector's, and whose "
-        "it is. `=`: level with the selector, the 95 % bootstrap interval of the difference holds "
-        "0; `>`: ahead of it. –: none is so cheap. In `may idle`, nothing may run on a frame."
+        "it is. =: level with the selector, the 95 % bootstrap interval of the difference holds "
+        "0; >: ahead of it. –: none is so cheap. In the last column nothing may run on a frame."
     )
     heads = ["selector", "λ", "compute", "AUC", "95 %", *against]
-    return Table(title, heads, rows, _noted(findings, note, [row["policy"] for row in shown]))
+    return Table(title, heads, rows, noted(findings, note, [row["policy"] for row in shown]))
 
 
 def _rival(match: Row | None) -> str:
@@ -194,12 +201,12 @@ def _margins(findings: Findings) -> Table:
             _marked(findings, row["policy"]),
             _marked(findings, row["rival"]),
             _maybe(row["least"], _signed),
-            _maybe(row["least_at"], _percent),
+            _maybe(row["least_at"], percent),
             _maybe(row["greatest"], _signed),
-            _maybe(row["greatest_at"], _percent),
+            _maybe(row["greatest_at"], percent),
             _interval(row["greatest_interval"], _signed),
-            _percent(row["begins"]),
-            _percent(row["rival_begins"]),
+            percent(row["begins"]),
+            percent(row["rival_begins"]),
         ]
         for row in findings.margins
     ]
@@ -207,7 +214,7 @@ def _margins(findings: Findings) -> Table:
         "Least and greatest difference over a fixed grid of computes, where both fronts have "
         "begun; a rival that begins earlier has the computes below for itself."
     )
-    note = _noted(
+    note = noted(
         findings, note, [row[key] for row in findings.margins for key in ("policy", "rival")]
     )
     return Table("Margins: AUC of the selector's front minus the rival's", heads, rows, note, 4)
@@ -222,15 +229,15 @@ def audit_table(findings: Findings, shown: Sequence[Row]) -> Table:
             _marked(findings, row["front"]),
             CONDITIONS[row["condition"]],
             row["bank"],
-            _three(row["p_correct"]),
-            _three(row["accuracy"]),
+            three(row["p_correct"]),
+            three(row["accuracy"]),
             _signed(row["gap"]),
             _signed(row["greatest_gap"]),
             row["greatest_gap_of"],
-            _maybe(row["auroc"], _three),
-            _maybe(row["least_auroc"], _three),
-            _three(row["calibration_error"]),
-            _three(row["greatest_calibration_error"]),
+            _maybe(row["auroc"], three),
+            _maybe(row["least_auroc"], three),
+            three(row["calibration_error"]),
+            three(row["greatest_calibration_error"]),
         ]
         for row in shown
     ]
@@ -238,7 +245,7 @@ def audit_table(findings: Findings, shown: Sequence[Row]) -> Table:
         "Means over cells, and the worst cell. A warning where p̂ is above the accuracy by more "
         f"than {PARTING:g}."
     )
-    note = _noted(findings, note, [row["front"] for row in shown])
+    note = noted(findings, note, [row["front"] for row in shown])
     return Table("Audit: estimated correctness p̂ against the truth", heads, rows, note, words=3)
 
 
@@ -249,12 +256,13 @@ def _marked(findings: Findings, policy: str) -> str:
     return marked(policy, findings.settings["needs_truth"])
 
 
-def _noted(findings: Findings, note: str, shown: Sequence[str]) -> str:
+def noted(findings: Findings, note: str, shown: Sequence[str]) -> str:
     """The note, and what the mark means if one of these policies has it."""
     return " ".join(filter(None, [note, footnote(shown, findings.settings["needs_truth"])]))
 
 
-def _three(value: float) -> str:
+def three(value: float) -> str:
+    """An AUC or a share, to three digits."""
     return f"{value:.3f}"
 
 
@@ -262,7 +270,8 @@ def _signed(value: float) -> str:
     return f"{value:+.3f}"
 
 
-def _percent(value: float) -> str:
+def percent(value: float) -> str:
+    """A share of the compute."""
     return f"{100 * value:.1f} %"
 
 
@@ -270,5 +279,5 @@ def _maybe(value: float | None, words: Callable[[float], str]) -> str:
     return "–" if value is None else words(value)
 
 
-def _interval(ends: Sequence[float] | None, words: Callable[[float], str] = _three) -> str:
+def _interval(ends: Sequence[float] | None, words: Callable[[float], str] = three) -> str:
     return "" if ends is None else f"{words(ends[0])} … {words(ends[1])}"
