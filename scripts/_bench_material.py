@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.rows import prepare, top_at
-from amusic_gym.envs.episode import Episodes, Route
+from amusic_gym.envs.episode import Episodes
+from amusic_gym.envs.memory import Route
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.estimation.sic.state import LIVE, state_at
 from amusic_gym.estimation.sic.statistics import candidate_at

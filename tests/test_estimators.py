@@ -12,7 +12,8 @@ from env_cases import assert_same, random_actions, random_bank
 from numpy.typing import NDArray
 
 from amusic_gym.envs.env import TechniqueSelectionEnv
-from amusic_gym.envs.episode import Episodes, Route
+from amusic_gym.envs.episode import Episodes
+from amusic_gym.envs.memory import Route
 from amusic_gym.envs.outcome import Outcome
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.estimation import settings

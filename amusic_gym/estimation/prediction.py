@@ -11,9 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.banks.rows import deviation, mean_at, row_at, scale_at, top_at
+from amusic_gym.banks.rows import top_at, z_at
 from amusic_gym.estimation.batch import Batch, RouteState
-from amusic_gym.kernels.compiling import compiled, inner
+from amusic_gym.kernels.compiling import inner
 
 SMOOTHING = 0.2
 """Weight of the newest value in every running mean of the observation."""
@@ -32,42 +32,25 @@ An assumption about the robot, not a fit: where it moves on by exactly one place
 decays.
 """
 
-DOUBT = 0.5
-"""A frame with p̂ below this is one of doubt."""
-
-
-@inner
-def tie(best: float) -> float:
-    """How far below ``best`` a statistic still counts as equal."""
-    return ABSOLUTE_TIE + RELATIVE_TIE * abs(best)
-
 
 @inner
 def first_near(values: NDArray[np.float64], best: float, size: int) -> int:
     """Index of the first value that is as good as ``best``, the highest of them."""
-    floor = best - tie(best)
+    floor = best - (ABSOLUTE_TIE + RELATIVE_TIE * abs(best))
     for i in range(size):
         if values[i] >= floor:
             return i
     return 0
 
 
-@compiled
-def first_best(values: NDArray[np.float64], size: int) -> int:
-    """Index of the highest of ``values``; of equal ones the first."""
-    best = values[0]
-    for i in range(1, size):
-        best = max(best, values[i])
-    return first_near(values, best, size)
-
-
 @inner
 def choose_technique(batch: Batch, i: int) -> int:
     """Choose the technique of the highest discounted statistic (MuSIC, III-B)."""
-    slots, statistics = batch.slots[i], batch.scratch
+    slots, statistics, best = batch.slots[i], batch.scratch, -math.inf
     for s in range(slots.size):
         statistics[s] = slots[s].statistic * slots[s].discount if slots[s].ran else -math.inf
-    chosen = first_best(statistics, slots.size)
+        best = max(best, statistics[s])
+    chosen = first_near(statistics, best, slots.size)
     slots[chosen].chosen = True
     batch.routes[i].technique = chosen
     return chosen
@@ -127,8 +110,7 @@ def relate(batch: Batch, i: int, frame: int) -> None:
         agreeing += slot.agrees
         if slot.ran:
             run = batch.runs[i, s]
-            z = deviation(row_at(run, frame)[route.prediction], mean_at(run, frame)[0])
-            slot.support = z * scale_at(run, frame)[0]
+            slot.support = z_at(run, frame, route.prediction)
             slot.support_mean += SMOOTHING * (slot.support - slot.support_mean)
             slot.runs += 1.0
             usual = max(USUAL_SMOOTHING, 1.0 / slot.runs)
@@ -141,10 +123,3 @@ def relate(batch: Batch, i: int, frame: int) -> None:
             slot.agreement += SMOOTHING * (slot.agrees - slot.agreement)
     route.agreeing = agreeing / present
     route.similarity = slots[route.technique].support if route.technique >= 0 else 0.0
-
-
-@inner
-def remember(route: RouteState) -> None:
-    """Update the running means of an estimate that is complete."""
-    route.since_doubt = 0.0 if route.p_correct < DOUBT else route.since_doubt + 1.0
-    route.p_correct_mean += SMOOTHING * (route.p_correct - route.p_correct_mean)

@@ -104,7 +104,8 @@ class _Belief:
     """The route itself, driven a second time: all techniques feed one belief."""
 
     def __init__(self, bank: ScoreBank, settings: SICSettings) -> None:
-        from amusic_gym.envs.episode import Episodes, Route
+        from amusic_gym.envs.episode import Episodes
+        from amusic_gym.envs.memory import Route
 
         columns = np.arange(len(bank.techniques))
         self.episodes = Episodes(1, columns.size, settings)
