@@ -170,7 +170,7 @@ def z_at(run: Run, frame: int, place: int) -> float:
     return z
 
 
-@compiled
+@apart
 def rank_candidates(scores: NDArray[np.float32], top: NDArray[np.int32]) -> None:
     """Fill ``top`` (K,) with the best places of ``scores`` (R,), ranked, ties to the lower."""
     for place in range(scores.size):
@@ -193,11 +193,12 @@ def prepare(run: Run, frame: int) -> bool:
     total, size = 0.0, 0
     lowest, highest = math.inf, -math.inf
     for place in range(row.size):
-        if row[place] != -math.inf:
-            total += row[place]
+        score = float(row[place])
+        if score != -math.inf:
+            total += score
             size += 1
-            lowest = min(lowest, row[place])
-            highest = max(highest, row[place])
+            lowest = min(lowest, score)
+            highest = max(highest, score)
     if not math.isfinite(total):
         return False
     mean = total / max(size, 1)

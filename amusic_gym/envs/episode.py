@@ -117,7 +117,9 @@ class Episodes(EpisodeMemory):
         if self.is_live:
             self._broken &= ~self.state.active
         record: Any = np.ndarray((), self.layout, self.shown.copy())
-        out = Outcome(*map(record.__getitem__, Outcome._fields))
+        out = Outcome(
+            record["routes"], record["slots"], record["corrections"], record["observation"]
+        )
         if bad_rows:
             self._refuse(out.routes["bad_row"])
         return out

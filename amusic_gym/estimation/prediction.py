@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from amusic_gym.banks.rows import top_at, z_at
 from amusic_gym.estimation.batch import Batch, RouteState
-from amusic_gym.kernels.compiling import inner
+from amusic_gym.kernels.compiling import apart, inner
 
 SMOOTHING = 0.2
 """Weight of the newest value in every running mean of the observation."""
@@ -92,7 +92,7 @@ def predict_only(route: RouteState) -> None:
         route.logit = logit_of(route.p_correct)
 
 
-@inner
+@apart
 def relate(batch: Batch, i: int, frame: int) -> None:
     """Relate every technique's last run to the prediction (features of the observation)."""
     slots, route = batch.slots[i], batch.routes[i]

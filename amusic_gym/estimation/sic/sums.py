@@ -117,7 +117,7 @@ def note_serial(mark: SumsState, run: Run, frame: int) -> None:
     mark.serial_rows = SERIAL_MEMORY * mark.serial_rows + 1.0
 
 
-@inner
+@apart
 def push(state: SICState, which: int, i: int, s: int, frame: int) -> None:
     """Add the row of ``frame`` to a technique's sums and let rows older than F frames go.
 
@@ -202,7 +202,7 @@ def with_waiting(total: float, mark: SumsState, run: Run, frame: int, place: int
     return total
 
 
-@inner
+@apart
 def score_places(
     state: SICState, i: int, s: int, frame: int, places: Places, size: int, out: Floats
 ) -> float:
@@ -290,7 +290,7 @@ def correct_frame(state: SICState, i: int, s: int, frame: int, own: int, fused: 
     return first_near(values, best, size)
 
 
-@inner
+@apart
 def best_rival(state: SICState, i: int, s: int, place: int) -> float:
     """Highest statistic of the candidates beyond the tolerance of ``place``; −∞: there are none.
 

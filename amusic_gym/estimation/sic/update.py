@@ -39,7 +39,7 @@ from amusic_gym.estimation.sic.sums import (
     score_places,
     store_result,
 )
-from amusic_gym.kernels.compiling import compiled, inner, spliced
+from amusic_gym.kernels.compiling import apart, compiled, inner, spliced
 
 SUPPORT_MEMORY = 0.98
 """Factor per frame on what a technique's last match counts for or against the prediction."""
@@ -66,7 +66,7 @@ def correct_techniques(state: SICState, i: int, frame: int) -> None:
                 state.places[i, s, frame] = slot.place
 
 
-@inner
+@apart
 def weigh_others(state: SICState, i: int, frame: int) -> None:
     """Weigh what the techniques that were not chosen say of the prediction.
 
