@@ -31,15 +31,12 @@ def begun(statistic: str, banks=BANKS, block: int = 0) -> Episodes:
 
 
 def step(episodes: Episodes, actions: NDArray[np.bool_], **options: Any) -> list[Any]:
-    episodes.choose(actions, **options)
-    episodes.run()
-    episodes.estimator.update()
-    return shown(episodes.observe())
+    return shown(episodes.step(actions, **options))
 
 
 def shown(out: Outcome) -> list[list[Any]]:
     """All of an outcome, route by route: padding between fields does not count."""
-    return [array.tolist() for array in out.arrays()]
+    return [array.tolist() for array in out]
 
 
 def actions_of(count: int, width: int = 3, seed: int = 0) -> NDArray[np.bool_]:

@@ -253,7 +253,7 @@ class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.i
         out = self.task.episodes.look()
         if self._viewer is not None:
             self._viewer.look()
-        terms = {name: term.item() for name, term in self.task.terms(out).items()}
+        terms = {name: term.item() for name, term in self.task.rewards(out)[1].items()}
         return out.observation[0], self._info(out, out.routes.item(0), terms)
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, Infos]:
@@ -270,9 +270,11 @@ class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.i
         result = out.routes.item(0)
         if task.reward is estimated and episodes.state.active.item(0):  # without arrays of one
             terms = trade(result[_P_CORRECT], result[_COMPUTE], result[_COMPUTE_WEIGHT])
+            reward = sum(terms.values())
         else:
-            terms = {name: term.item() for name, term in task.terms(out).items()}
-        reward, terminated = sum(terms.values()), result[_ENDED]
+            rewards, arrays = task.rewards(out)
+            reward, terms = rewards.item(), {name: term.item() for name, term in arrays.items()}
+        terminated = result[_ENDED]
         truncated = result[_FRAME] >= task.last_frame and not terminated
         self._running = not (terminated or truncated)
         if self._viewer is not None:

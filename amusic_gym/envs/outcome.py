@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -87,16 +87,22 @@ class Outcome(NamedTuple):
     corrections: NDArray[np.float64]  # (N, S, M) over the block of a selection; M = 0 without
     observation: NDArray[np.float32]  # (N, D)
 
+    def copy(self) -> Outcome:
+        """One with arrays of its own."""
+        return Outcome(
+            self.routes.copy(), self.slots.copy(), self.corrections.copy(), self.observation.copy()
+        )
+
     def only(self, mask: NDArray[np.bool_]) -> Outcome:
         """A copy that is zero outside a mask (N,) of routes."""
-        twin = Outcome(*(values.copy() for values in self))
-        for values in twin:
+        twin = self.copy()
+        arrays: tuple[NDArray[Any], ...] = twin
+        for values in arrays:
             values[~mask] = np.zeros((), values.dtype)
         return twin
 
-    def replaced(self, other: Outcome, mask: NDArray[np.bool_]) -> Outcome:
-        """A copy with what another one holds of the routes of a mask (N,)."""
-        twin = Outcome(*(values.copy() for values in self))
-        for ours, theirs in zip(twin, other, strict=True):
+    def take(self, other: Outcome, mask: NDArray[np.bool_]) -> None:
+        """Take over what another one holds of the routes of a mask (N,)."""
+        pairs: Iterable[tuple[NDArray[Any], NDArray[Any]]] = zip(self, other, strict=True)
+        for ours, theirs in pairs:
             ours[mask] = theirs[mask]
-        return twin

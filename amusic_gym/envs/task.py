@@ -217,8 +217,7 @@ class Task:
             Outcome, rewards and their terms, all with leading N; 0 where no frame was processed.
         """
         out = self.episodes.step(actions, active)
-        terms = self.terms(out)
-        return out, sum(terms.values(), np.zeros(self.episodes.num_routes)), terms
+        return out, *self.rewards(out)
 
     def ends(self, out: Outcome) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """(N,) whether each route has terminated, and whether it was truncated."""
@@ -226,8 +225,8 @@ class Task:
         terminated = routes["ended"].copy()
         return terminated, (routes["frame"] >= self.last_frame) & ~terminated
 
-    def terms(self, out: Outcome) -> Terms:
-        """Terms of the reward by name, each (N,); 0 where no frame was processed.
+    def rewards(self, out: Outcome) -> tuple[NDArray[np.float64], Terms]:
+        """Rewards (N,) and their terms by name, each (N,); 0 where no frame was processed.
 
         Raises:
             ValueError: for a reward that gives none.
@@ -242,7 +241,7 @@ class Task:
         active = self.episodes.state.active  # not those whose source has ended
         if not active.all():
             terms = {name: np.where(active, term, 0.0) for name, term in terms.items()}
-        return terms
+        return sum(terms.values(), np.zeros(self.episodes.num_routes)), terms
 
     def _per_route(self, term: ArrayLike) -> NDArray[np.float64]:
         """A term as an array (N,) of its own."""

@@ -155,7 +155,7 @@ class TechniqueSelectionVectorEnv(
         out = self.task.episodes.look()
         if self._viewer is not None:
             self._viewer.look()
-        return out.observation, infos_of(out, self.task.terms(out), mask)
+        return out.observation, infos_of(out, self.task.rewards(out)[1], mask)
 
     def _begin(self, i: int, options: Mapping[str, Any] | None = None) -> None:
         given = {name: self._entry(name, value, i) for name, value in (options or {}).items()}
@@ -237,10 +237,10 @@ class TechniqueSelectionVectorEnv(
             The outcome with their start instead; infos with those of the steps that ended the
             others, and their last observations.
         """
-        ended = self._ended.copy()
+        ended, out = self._ended.copy(), last.copy()
         for i in np.flatnonzero(ended):
             self._begin(int(i))
-        out = last.replaced(self.task.episodes.look(), ended)
+        out.take(self.task.episodes.look(), ended)
         infos = infos_of(out, {name: np.where(ended, 0.0, term) for name, term in terms.items()})
         final = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(ended):

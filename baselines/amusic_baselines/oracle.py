@@ -121,10 +121,7 @@ class _Belief:
     def _step(episodes: Any, technique: int) -> int:
         actions = np.zeros((1, episodes.slots), np.bool_)
         actions[0, technique] = True
-        episodes.choose(actions)
-        episodes.estimator.update()
-        out = episodes.observe()
-        return int(out.routes["prediction"][0])
+        return int(episodes.step(actions).routes["prediction"][0])
 
 
 def oracle(argument: str | None, context: Context) -> Oracle:

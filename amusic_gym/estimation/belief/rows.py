@@ -105,7 +105,8 @@ def standardise(run: Run, frame: int, hub: NDArray[np.float64], out: NDArray[np.
     These have 0 there and in the mean row.
     """
     row, prepared = row_at(run, frame), prepared_at(run, frame)
-    mean, scale, masked = prepared.mean, prepared.scale, prepared.state == MASKED
+    mean, scale = prepared.mean, prepared.scale
+    masked: bool = prepared.state == MASKED
     for place in range(row.size):
         out[place] = (row[place] - mean) * scale
     if masked:
