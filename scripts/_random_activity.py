@@ -81,9 +81,6 @@ def _drive(bank: ScoreBank, name: str, timing: str, statistic: str, seed: int) -
 def held_against_truth(banks: Sequence[Sequence[Drive]]) -> dict[str, Any]:
     """What the drives show, per bank and pooled, as recorded and re-timed.
 
-    Args:
-        banks: the drives of each bank, all with the same timings.
-
     Returns:
         ``{"fused": [...], "techniques": [...], "reliability": {timing: ...}}``, plain values that
         ``json.dump`` takes; the reliability is that of all banks, None in empty bins.

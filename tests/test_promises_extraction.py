@@ -306,7 +306,7 @@ def test_28_two_writers_and_no_torn_read(tmp_path):
 
 def test_32_without_ray_the_command_that_installs_it(folder, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(ValueError, match=r'needs Ray: pip install "amusic-gym\[ray\]"'):
+    with pytest.raises(ValueError, match=r'needs Ray; install it: pip install "amusic-gym\[ray\]"'):
         run(folder, tmp_path, executor="ray")
 
 

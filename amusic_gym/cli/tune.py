@@ -69,11 +69,7 @@ def learner(banks: Sequence[str]) -> Learn:
 
 
 def as_space(items: Sequence[str], config: TrainingConfig) -> Space:
-    """``["entropy=1e-4:0.1:log", "epochs=2,4"]`` as what is searched.
-
-    Raises:
-        ValueError: for an unknown setting, or values of another form.
-    """
+    """``["entropy=1e-4:0.1:log", "epochs=2,4"]`` as what is searched."""
     from amusic_agents.config import leaves
     from amusic_agents.tuning import Range
 

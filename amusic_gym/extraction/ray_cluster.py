@@ -27,6 +27,7 @@ from amusic_gym.extraction.shards import (
     nothing,
 )
 from amusic_gym.techniques.protocol import Technique
+from amusic_gym.utils.optional import optional
 
 
 class RayCluster(Executor):
@@ -44,13 +45,7 @@ class RayCluster(Executor):
     """
 
     def __init__(self, address: str | None = None) -> None:
-        try:
-            import ray
-        except ImportError:
-            raise ValueError(
-                "the executor 'ray' needs Ray: pip install \"amusic-gym[ray]\""
-            ) from None
-        self._ray: Any = ray
+        self._ray = optional("ray", "the executor 'ray'", "Ray", "ray")
         self._address = address
         self._connected = False
 

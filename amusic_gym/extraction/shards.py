@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, Self, TypeAlias, TypeVar
+from typing import Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from amusic_gym.extraction.blocks import (
 )
 from amusic_gym.extraction.code import describes_queries_alike
 from amusic_gym.techniques.protocol import Technique
+from amusic_gym.utils.closing import Closing
 from amusic_gym.utils.threads import one_thread
 
 ATTEMPTS = 3
@@ -56,20 +57,7 @@ class Shard(Protocol):
 S = TypeVar("S", bound=Shard)
 
 
-class _Context:
-    """A context that ends with `close`."""
-
-    def close(self) -> None:
-        """End what was started."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
-class Workers(_Context):
+class Workers(Closing):
     """Workers that hold one technique."""
 
     def run(
@@ -87,7 +75,7 @@ class Workers(_Context):
         raise NotImplementedError
 
 
-class Executor(_Context):
+class Executor(Closing):
     """A place to run shards."""
 
     def workers(self, technique: Technique) -> Workers:
@@ -97,17 +85,11 @@ class Executor(_Context):
 
 @dataclass(frozen=True)
 class DescribeShard:
-    """Description of one block of images; the result is (B, ...).
+    """Description of one block of images; the result is (B, ...)."""
 
-    Attributes:
-        key: of the result.
-        images: up to ``BLOCK``.
-        query: whether as queries or as places of the map.
-    """
-
-    key: str
-    images: Images
-    query: bool
+    key: str  # of the result
+    images: Images  # up to ``BLOCK``
+    query: bool  # whether as queries or as places of the map
 
     @property
     def size(self) -> int:
@@ -150,19 +132,12 @@ class DescribeShard:
 
 @dataclass(frozen=True)
 class MatchShard:
-    """Matching of a block of queries with a block of the map; the result is (queries, references).
+    """Matching of a block of queries with one of the map; the result is (queries, references)."""
 
-    Attributes:
-        key: of the result.
-        queries: (B, ...) descriptors.
-        references: (B, ...) descriptors.
-        paths: B, the images of the queries.
-    """
-
-    key: str
-    queries: Stored | NDArray[np.float32]
-    references: Stored | NDArray[np.float32]
-    paths: tuple[Path, ...]
+    key: str  # of the result
+    queries: Stored | NDArray[np.float32]  # (B, ...) descriptors
+    references: Stored | NDArray[np.float32]  # (B, ...) descriptors
+    paths: tuple[Path, ...]  # B, the images of the queries
 
     @property
     def size(self) -> int:

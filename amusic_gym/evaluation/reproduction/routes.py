@@ -9,7 +9,7 @@ from pathlib import Path
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.extraction import extract
-from amusic_gym.routes.datasets import DATASETS, LoadedDataset, load_dataset
+from amusic_gym.routes.datasets import DATASETS, LoadedRoute, load_dataset
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.techniques import make_technique
 
@@ -28,11 +28,11 @@ class Route:
     """
 
     name: str
-    found: LoadedDataset | None
+    found: LoadedRoute | None
     remarks: tuple[str, ...]
 
 
-def load(name: str, root: str | os.PathLike[str]) -> tuple[LoadedDataset, tuple[str, ...]]:
+def load(name: str, root: str | os.PathLike[str]) -> tuple[LoadedRoute, tuple[str, ...]]:
     """A data set and what differs from the paper's.
 
     Of a folder with more images than the paper took, as many at even distances, from the first on.
@@ -71,7 +71,7 @@ def find(name: str, root: str | os.PathLike[str]) -> Route:
 
 
 def extracted(
-    found: LoadedDataset,
+    found: LoadedRoute,
     out: Path,
     *,
     techniques: Sequence[str],
