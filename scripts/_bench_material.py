@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.banks.rows import prepare, top_at
-from amusic_gym.envs.episode import Episodes, Route
+from amusic_gym.banks.rows import prepare
+from amusic_gym.envs.episode import Episodes
+from amusic_gym.envs.memory import Route
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.estimation.sic.state import LIVE, state_at
-from amusic_gym.estimation.sic.statistics import candidate_at
-from amusic_gym.estimation.sic.sums import push
-from amusic_gym.estimation.sic.update import correct_frame, weigh_runs
+from amusic_gym.estimation.sic.sums import correct_frame, count_runs, push
 from amusic_gym.kernels.compiling import compiled
 
 TOLERANCE = 5
@@ -172,10 +171,9 @@ def correct_routes(
     state = state_at(address)
     for i in range(places.size):
         state.batch.ran[i, 0, frame] = True
-        weigh_runs(state, i, 0, frame)
+        count_runs(state, i, 0, frame, frame + 1)
         winner = correct_frame(state, i, 0, frame, -1, -1)
-        top = top_at(state.batch.runs[i, 0], frame)
-        places[i] = candidate_at(top, state.carried[0], winner)
+        places[i] = state.candidates[0, winner]
         statistics[i] = state.values[0, winner]
 
 
@@ -183,10 +181,8 @@ def correct_routes(
 def push_routes(address: int, frame: int) -> None:
     """The package's row add on each of N routes at ``frame``."""
     state = state_at(address)
-    batch = state.batch
-    for i in range(batch.active.size):
-        sums, mark = state.sums[LIVE, i, 0], state.marks[LIVE, i, 0]
-        push(sums, mark, batch.runs[i, 0], batch.ran[i, 0], frame, state.history, state.gamma)
+    for i in range(state.batch.active.size):
+        push(state, LIVE, i, 0, frame)
 
 
 @compiled

@@ -11,7 +11,7 @@ import pytest
 from numba.core import caching
 from numba.core.dispatcher import Dispatcher
 
-from amusic_gym.envs import step
+from amusic_gym.envs import episode
 from amusic_gym.estimation.belief import filter as belief_filter
 from amusic_gym.estimation.sic import look_back, update
 from amusic_gym.kernels import compiling as _compile
@@ -20,9 +20,9 @@ from amusic_gym.utils import imports
 from amusic_gym.utils.imports import PACKAGE, digest_of, source_files
 
 KERNELS = [
-    step.choose_routes,
-    step.select_routes,
-    step.observe_routes,
+    episode.choose_routes,
+    episode.select_routes,
+    episode.observe_routes,
     update.update_routes,
     look_back.look_back,
     belief_filter.filter_routes,
@@ -75,7 +75,7 @@ def test_53_a_kernel_is_stale_when_any_file_of_its_code_changes(kernel, tmp_path
 
 
 def test_53_constants_of_the_observation_are_part_of_a_step():
-    assert PACKAGE / "envs" / "observation.py" in source_files(Path(step.__file__), lazily=False)
+    assert PACKAGE / "envs" / "observation.py" in source_files(Path(episode.__file__), lazily=False)
 
 
 def test_imports_count_wherever_they_stand_but_for_type_checkers():

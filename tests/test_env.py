@@ -430,7 +430,7 @@ def test_an_outcome_that_a_reward_keeps_stays_as_it_was():
     kept = []
 
     def reward(inputs: RewardInputs) -> dict[str, Any]:
-        given = [*inputs.outcome.arrays(), inputs.compute_weight]
+        given = [*inputs.outcome, inputs.compute_weight]
         kept.append((given, [array.copy() for array in given]))
         return {"mine": inputs.outcome.routes["p_correct"]}
 

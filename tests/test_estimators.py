@@ -12,7 +12,8 @@ from env_cases import assert_same, random_actions, random_bank
 from numpy.typing import NDArray
 
 from amusic_gym.envs.env import TechniqueSelectionEnv
-from amusic_gym.envs.episode import Episodes, Route
+from amusic_gym.envs.episode import Episodes
+from amusic_gym.envs.memory import Route
 from amusic_gym.envs.outcome import Outcome
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.estimation import settings
@@ -30,15 +31,12 @@ def begun(statistic: str, banks=BANKS, block: int = 0) -> Episodes:
 
 
 def step(episodes: Episodes, actions: NDArray[np.bool_], **options: Any) -> list[Any]:
-    episodes.choose(actions, **options)
-    episodes.run()
-    episodes.estimator.update()
-    return shown(episodes.observe())
+    return shown(episodes.step(actions, **options))
 
 
 def shown(out: Outcome) -> list[list[Any]]:
     """All of an outcome, route by route: padding between fields does not count."""
-    return [array.tolist() for array in out.arrays()]
+    return [array.tolist() for array in out]
 
 
 def actions_of(count: int, width: int = 3, seed: int = 0) -> NDArray[np.bool_]:

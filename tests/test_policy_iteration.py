@@ -101,7 +101,7 @@ def driven(statistic: str, **arguments) -> TechniqueSelectionVectorEnv:
 
 def assert_rows(whole: Outcome, part: Outcome, rows: slice) -> None:
     """Some of an outcome's routes went as those of another, bit for bit."""
-    for ours, theirs in zip(whole.arrays(), part.arrays(), strict=True):
+    for ours, theirs in zip(whole, part, strict=True):
         np.testing.assert_array_equal(ours[rows], theirs)
 
 

@@ -16,41 +16,54 @@ if TYPE_CHECKING:
     from amusic_gym.banks.bank import ScoreBank
 
 
-MASKED = 2
-"""What ``ready`` is for a row with places that are no candidates: their score is −∞."""
+UNREAD, READY, MASKED = 0, 1, 2
+"""What is known of a row: nothing yet; all; all, and some places are no candidates (score −∞)."""
 
-PREPARED = ("mean", "scale", "top", "ready", "serial")
-"""What is kept of every row; fields of :class:`Run`."""
+
+class PreparedRow(Record):
+    """What SIC needs to know of a score row besides its best places."""
+
+    mean: float  # over the candidates, as is the deviation
+    scale: float  # 1/σ, 0 for a constant row
+    serial: float  # correlation with the row before, moved on by a place; NaN: not known yet
+    state: int  # UNREAD, READY or MASKED
+
+
+class Run(Record):
+    """Where one technique's rows lie in memory."""
+
+    scores: int  # address of the (Q, R) float32 scores
+    prepared: int  # address of the (Q,) `PreparedRow` records
+    top: int  # address of the (Q, K) int32 best places
+    start: int  # the query that is frame 0
+    entries: int  # live: address of each frame's row number (Q,) int64; 0: in order
+    references: int  # R
+    candidates: int  # K, clipped to R
 
 
 class PreparedRows:
-    """Mean, scale and candidates of the rows of a bank (A-MuSIC, III-A and III-B).
+    """What SIC needs to know of the rows of a bank (A-MuSIC, III-A and III-B).
 
     The kernels fill a row's entries the first time a technique runs on it, so that a large
     memory-mapped bank is never read as a whole.
 
     Attributes:
-        candidates: K, already clipped to the map's length.
-        mean: (T, Q) float64, mean of each score row; over its candidates, as ``scale`` is.
-        scale: (T, Q) float64, 1/σ of each row, 0 for a constant one.
-        top: (T, Q, K) int32, the K best places, ranked; ties to the lower index.
-        ready: (T, Q) uint8, 1 where the row's entries are filled, or `MASKED`.
-        serial: (T, Q) float64, see :func:`serial_correlation`; NaN where it is not known yet.
+        prepared: (T, Q) :class:`PreparedRow` records.
+        top: (T, Q, K) int32, the K best places, ranked; ties to the lower index; K is clipped to R.
+        candidates: K.
     """
 
     def __init__(self, bank: ScoreBank, candidates: int) -> None:
-        techniques, queries, references = bank.shape
-        self.candidates = min(candidates, references)
-        self.mean: NDArray[np.float64] = np.zeros((techniques, queries))
-        self.scale: NDArray[np.float64] = np.zeros((techniques, queries))
+        techniques, queries, self.references = bank.shape
+        self.candidates = min(candidates, self.references)
+        self.prepared: NDArray[Any] = np.zeros((techniques, queries), PreparedRow.dtype)
+        self.prepared["serial"] = np.nan
         self.top: NDArray[np.int32] = np.zeros((techniques, queries, self.candidates), np.int32)
-        self.ready: NDArray[np.uint8] = np.zeros((techniques, queries), np.uint8)
-        self.serial: NDArray[np.float64] = np.full((techniques, queries), np.nan)
-        self.references = references
-        self._addresses: dict[str, NDArray[np.int64]] = {}  # (T,) of every technique's entries
-        for name in PREPARED:
-            self._addresses[name] = _addresses(getattr(self, name))
-        self._addresses["scores"] = _addresses(bank.stored)[bank.index]
+        self._addresses = {  # (T,) of every technique's rows
+            "scores": _addresses(bank.stored)[bank.index],
+            "prepared": _addresses(self.prepared),
+            "top": _addresses(self.top),
+        }
 
     def point(self, runs: NDArray[Any], columns: NDArray[np.int64]) -> None:
         """Write to the Run records (S,) where the rows of techniques lie in memory.
@@ -68,42 +81,21 @@ def _addresses(array: NDArray[Any]) -> NDArray[np.int64]:
     return array.ctypes.data + array.strides[0] * np.arange(len(array))
 
 
-class Run(Record):
-    """Where one technique's rows lie in memory: addresses of PreparedRows' entries of it."""
-
-    scores: int  # address of the technique's (Q, R) float32 scores
-    mean: int
-    scale: int
-    top: int
-    ready: int
-    serial: int
-    start: int  # the query that is frame 0
-    entries: int  # live: address of each frame's row number (Q,) int64; 0: in order
-    references: int  # R
-    candidates: int  # K, clipped to R
-
-
 @dataclass
 class RowBuffer:
     """Rows of one technique that come one by one; room for C of them."""
 
     rows: NDArray[np.float32]  # (C, R)
-    mean: NDArray[np.float64]  # (C,)
-    scale: NDArray[np.float64]  # (C,)
+    prepared: NDArray[Any]  # (C,) PreparedRow
     top: NDArray[np.int32]  # (C, K)
-    ready: NDArray[np.uint8]  # (C,)
-    serial: NDArray[np.float64]  # (C,)
 
     @classmethod
     def empty(cls, capacity: int, references: int, candidates: int) -> RowBuffer:
         """Room for ``capacity`` rows; K is clipped to R."""
         return cls(
             rows=np.zeros((capacity, references), np.float32),
-            mean=np.zeros(capacity),
-            scale=np.zeros(capacity),
+            prepared=np.zeros(capacity, PreparedRow.dtype),
             top=np.zeros((capacity, min(candidates, references)), np.int32),
-            ready=np.zeros(capacity, np.uint8),
-            serial=np.full(capacity, np.nan),
         )
 
     def grown(self, capacity: int) -> RowBuffer:
@@ -117,15 +109,19 @@ class RowBuffer:
     def put(self, entry: int, row: NDArray[np.float32]) -> None:
         """Store a row; what SIC needs of it is computed when it is first used."""
         self.rows[entry] = row
-        self.ready[entry], self.serial[entry] = 0, np.nan
+        self.prepared[entry] = (0.0, 0.0, np.nan, UNREAD)
 
     def point(self, run: Any) -> None:
         """Write the addresses to a Run record."""
         run["scores"] = self.rows.ctypes.data
-        for name in PREPARED:
-            run[name] = getattr(self, name).ctypes.data
+        run["prepared"] = self.prepared.ctypes.data
+        run["top"] = self.top.ctypes.data
         run["references"] = self.rows.shape[1]
         run["candidates"] = self.top.shape[1]
+
+
+_PREPARED = PreparedRow.dtype
+_SIZE = _PREPARED.itemsize
 
 
 @inner
@@ -140,40 +136,22 @@ def entry_of(run: Run, frame: int) -> int:
 
 @inner
 def row_at(run: Run, frame: int) -> Any:
-    """Score row (R,) of a frame."""
+    """Score row (R,) float32 of a frame."""
     size = run.references
     return view(run.scores + entry_of(run, frame) * size * 4, size, np.float32)
 
 
 @inner
-def mean_at(run: Run, frame: int) -> Any:
-    """Mean of a frame's row."""
-    return view(run.mean + entry_of(run, frame) * 8, 1, np.float64)
-
-
-@inner
-def scale_at(run: Run, frame: int) -> Any:
-    """1/σ of a frame's row."""
-    return view(run.scale + entry_of(run, frame) * 8, 1, np.float64)
+def prepared_at(run: Run, frame: int) -> Any:
+    """:class:`PreparedRow` of a frame."""
+    return view(run.prepared + entry_of(run, frame) * _SIZE, 1, _PREPARED)[0]
 
 
 @inner
 def top_at(run: Run, frame: int) -> Any:
-    """Candidates (K,) of a frame, ranked."""
+    """Candidates (K,) int32 of a frame, ranked."""
     size = run.candidates
     return view(run.top + entry_of(run, frame) * size * 4, size, np.int32)
-
-
-@inner
-def ready_at(run: Run, frame: int) -> Any:
-    """Whether the entries of a frame's row are filled."""
-    return view(run.ready + entry_of(run, frame), 1, np.uint8)
-
-
-@inner
-def serial_at(run: Run, frame: int) -> Any:
-    """Correlation of a frame's row with the row before it, NaN where it is not known yet."""
-    return view(run.serial + entry_of(run, frame) * 8, 1, np.float64)
 
 
 @inner
@@ -183,130 +161,82 @@ def deviation(score: float, mean: float) -> float:
 
 
 @inner
-def is_masked(run: Run, frame: int, place: int) -> bool:
-    """Whether a place is no candidate in a prepared row; a row without any is as a constant one."""
-    masked = False
-    if ready_at(run, frame)[0] == MASKED:
-        row = row_at(run, frame)
-        masked = row[place] == -math.inf and row[top_at(run, frame)[0]] != -math.inf
-    return masked
-
-
-@inner
-def worse(scores: NDArray[np.float32], a: int, b: int) -> bool:
-    """Whether place ``a`` ranks behind place ``b``: lower score, or equal and of higher index."""
-    return scores[a] < scores[b] or (scores[a] == scores[b] and a > b)
+def z_at(run: Run, frame: int, place: int) -> float:
+    """Z-score of a place in a prepared row."""
+    prepared = prepared_at(run, frame)
+    z: float = deviation(row_at(run, frame)[place], prepared.mean) * prepared.scale
+    return z
 
 
 @apart
-def sift(scores: NDArray[np.float32], heap: NDArray[np.int64], root: int, size: int) -> None:
-    """Restore a heap of places whose root is the worst."""
-    while True:
-        child = 2 * root + 1
-        if child >= size:
-            return
-        if child + 1 < size and worse(scores, heap[child + 1], heap[child]):
-            child += 1
-        if not worse(scores, heap[child], heap[root]):
-            return
-        heap[root], heap[child] = heap[child], heap[root]
-        root = child
-
-
-@compiled
-def rank_candidates(scores: NDArray[np.float32], top: NDArray[np.int64]) -> None:
+def rank_candidates(scores: NDArray[np.float32], top: NDArray[np.int32]) -> None:
     """Fill ``top`` (K,) with the best places of ``scores`` (R,), ranked, ties to the lower."""
-    size = top.size
-    for i in range(size):
-        top[i] = i
-    for i in range(size // 2 - 1, -1, -1):
-        sift(scores, top, i, size)
-    for place in range(size, scores.size):
-        if scores[place] > scores[top[0]]:
-            top[0] = place
-            sift(scores, top, 0, size)
-    for end in range(size - 1, 0, -1):
-        top[0], top[end] = top[end], top[0]
-        sift(scores, top, 0, end)
+    for place in range(scores.size):
+        rank = min(place, top.size)
+        while rank > 0 and scores[place] > scores[top[rank - 1]]:
+            if rank < top.size:
+                top[rank] = top[rank - 1]
+            rank -= 1
+        if rank < top.size:
+            top[rank] = place
 
 
 @compiled
 def prepare(run: Run, frame: int) -> bool:
     """Fill mean, scale and candidates of a frame's row once; False if a score is NaN or +∞."""
-    ready = ready_at(run, frame)
-    if ready[0]:
+    prepared = prepared_at(run, frame)
+    if prepared.state != UNREAD:
         return True
     row = row_at(run, frame)
     total, size = 0.0, 0
     lowest, highest = math.inf, -math.inf
     for place in range(row.size):
-        if row[place] != -math.inf:
-            total += row[place]
+        score = float(row[place])
+        if score != -math.inf:
+            total += score
             size += 1
-            lowest = min(lowest, row[place])
-            highest = max(highest, row[place])
+            lowest = min(lowest, score)
+            highest = max(highest, score)
     if not math.isfinite(total):
         return False
     mean = total / max(size, 1)
     square = 0.0
     for place in range(row.size):
         square += deviation(row[place], mean) ** 2
-    mean_at(run, frame)[0] = mean
+    prepared.mean = mean
     # Asked of the extremes, because rounding can leave a constant row a σ that is not quite 0.
-    scale_at(run, frame)[0] = 0.0 if highest <= lowest else 1.0 / math.sqrt(square / size)
+    prepared.scale = 0.0 if highest <= lowest else 1.0 / math.sqrt(square / size)
     rank_candidates(row, top_at(run, frame))
-    ready[0] = 1 if size == row.size else MASKED
+    prepared.state = READY if size == row.size else MASKED
     return True
-
-
-@apart
-def masked_correlation(one: Run, past: int, other: Run, frame: int, shift: int) -> float:
-    """As :func:`correlation`, over the c that are candidates in both rows."""
-    before, now = row_at(one, past), row_at(other, frame)
-    mean_before, mean_now = mean_at(one, past)[0], mean_at(other, frame)[0]
-    total, pairs = 0.0, 0
-    for i in range(now.size - shift):
-        if before[i] != -math.inf and now[i + shift] != -math.inf:
-            total += (before[i] - mean_before) * (now[i + shift] - mean_now)
-            pairs += 1
-    scale: float = scale_at(one, past)[0] * scale_at(other, frame)[0]
-    return total * scale / max(pairs, 1)
 
 
 @apart
 def correlation(one: Run, past: int, other: Run, frame: int, shift: int) -> float:
     """Mean product of the z-scores of a row's place c − shift and another row's place c.
 
-    Over all c that both have, 0 where there is none. Both rows must be there and prepared.
+    Over all c that are candidates in both, 0 where there is none. Both rows must be prepared.
     """
-    if ready_at(one, past)[0] == MASKED or ready_at(other, frame)[0] == MASKED:
-        return masked_correlation(one, past, other, frame, shift)
     before, now = row_at(one, past), row_at(other, frame)
-    mean_before, mean_now = mean_at(one, past)[0], mean_at(other, frame)[0]
+    first, second = prepared_at(one, past), prepared_at(other, frame)
+    mean_before, mean_now = first.mean, second.mean
     a, b, c, d = 0.0, 0.0, 0.0, 0.0  # four lanes: additions of one chain wait for each other
     pairs = now.size - shift
-    even = pairs - pairs % 4
-    for i in range(0, even, 4):
-        a += (before[i] - mean_before) * (now[i + shift] - mean_now)
-        b += (before[i + 1] - mean_before) * (now[i + 1 + shift] - mean_now)
-        c += (before[i + 2] - mean_before) * (now[i + 2 + shift] - mean_now)
-        d += (before[i + 3] - mean_before) * (now[i + 3 + shift] - mean_now)
-    for i in range(even, pairs):
-        a += (before[i] - mean_before) * (now[i + shift] - mean_now)
-    scale: float = scale_at(one, past)[0] * scale_at(other, frame)[0]
+    if first.state == MASKED or second.state == MASKED:
+        pairs = 0
+        for i in range(now.size - shift):
+            if before[i] != -math.inf and now[i + shift] != -math.inf:
+                a += (before[i] - mean_before) * (now[i + shift] - mean_now)
+                pairs += 1
+    else:
+        even = pairs - pairs % 4
+        for i in range(0, even, 4):
+            a += (before[i] - mean_before) * (now[i + shift] - mean_now)
+            b += (before[i + 1] - mean_before) * (now[i + 1 + shift] - mean_now)
+            c += (before[i + 2] - mean_before) * (now[i + 2 + shift] - mean_now)
+            d += (before[i + 3] - mean_before) * (now[i + 3 + shift] - mean_now)
+        for i in range(even, pairs):
+            a += (before[i] - mean_before) * (now[i + shift] - mean_now)
+    scale: float = first.scale * second.scale
     mean: float = ((a + b) + (c + d)) * scale / max(pairs, 1)
     return mean
-
-
-@inner
-def serial_correlation(run: Run, frame: int) -> float:
-    """Correlation of a frame's row with the technique's row one frame before, moved on by a place.
-
-    It is computed once per row.
-    """
-    known = serial_at(run, frame)
-    if math.isnan(known[0]):
-        prepare(run, frame - 1)  # again in an unpickled environment, whose bank starts unprepared
-        known[0] = correlation(run, frame - 1, run, frame, 1)
-    value: float = known[0]
-    return value

@@ -10,13 +10,25 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from amusic_gym.envs.infos import Infos
+from amusic_gym.envs.episode import as_actions
+from amusic_gym.envs.outcome import (
+    RESULTS,
+    ROUTE_INFOS,
+    SELECTION_INFOS,
+    TECHNIQUE_INFOS,
+    Infos,
+    Outcome,
+)
 from amusic_gym.envs.pictures.viewer import viewer_for
 from amusic_gym.envs.registration import Specified
-from amusic_gym.envs.rewards import Reward
+from amusic_gym.envs.rewards import Reward, estimated, trade
 from amusic_gym.envs.sources import BankLike, RouteSource
 from amusic_gym.envs.task import RENDER_FPS, RENDER_MODES, Task, as_seed
 from amusic_gym.estimation.settings import COVERAGE, SICSettings
+
+_FRAME, _ENDED, _HAPPENED, _P_CORRECT, _COMPUTE, _COMPUTE_WEIGHT = map(
+    RESULTS.index, ("frame", "ended", "happened", "p_correct", "compute", "compute_weight")
+)
 
 
 class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.int8]]):
@@ -242,7 +254,8 @@ class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.i
         out = self.task.episodes.look()
         if self._viewer is not None:
             self._viewer.look()
-        return out.observation[0], self.task.begun_info(out)
+        terms = {name: term.item() for name, term in self.task.rewards(out)[1].items()}
+        return out.observation[0], self._info(out, out.routes.item(0), terms)
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, Infos]:
         """Run the chosen techniques on the next frame.
@@ -253,12 +266,42 @@ class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.i
         """
         if not self._running:
             raise ResetNeeded("no episode is running; call reset() first, and after every end")
-        checked = self.task.check_actions(action, self._action_shape)
-        out, reward, terminated, truncated, info = self.task.step_one(checked)
+        task, episodes = self.task, self.task.episodes
+        out = episodes.step(as_actions(action, self._action_shape))  # run, estimate, observe
+        result = out.routes.item(0)
+        if task.reward is estimated and episodes.state.active.item(0):  # without arrays of one
+            terms = trade(result[_P_CORRECT], result[_COMPUTE], result[_COMPUTE_WEIGHT])
+            reward = sum(terms.values())
+        else:
+            rewards, arrays = task.rewards(out)
+            reward, terms = rewards.item(), {name: term.item() for name, term in arrays.items()}
+        terminated = result[_ENDED]
+        truncated = result[_FRAME] >= task.last_frame and not terminated
         self._running = not (terminated or truncated)
         if self._viewer is not None:
             self._viewer.look()
+        info = self._info(out, result, terms)
         return out.observation[0], reward, terminated, truncated, info
+
+    @staticmethod
+    def _info(out: Outcome, result: tuple[Any, ...], terms: dict[str, float]) -> Infos:
+        """Infos of a step: numbers, and (T,) arrays of their own.
+
+        Args:
+            out: what the step gave.
+            result: its `RouteResult` as Python's numbers.
+            terms: of the reward.
+        """
+        slots = out.slots[0]
+        info: Infos = dict(zip(ROUTE_INFOS, result, strict=False))
+        for name in TECHNIQUE_INFOS:
+            info[name] = slots[name].copy()
+        info["reward_terms"] = terms
+        if out.corrections.size:
+            info["selection"] = {"happened": result[_HAPPENED], "corrections": out.corrections[0]}
+            for name in SELECTION_INFOS:
+                info["selection"][name] = slots[name].copy()
+        return info
 
     def render(self) -> str | NDArray[np.uint8] | list[NDArray[np.uint8]] | None:  # type: ignore[override]
         """The last frame: one line with ``render_mode="ansi"``, a picture with ``"rgb_array"``.

@@ -1,234 +1,69 @@
-"""Episodes: the batch of routes that the single and the vector environment share.
+"""One step of a batch of episodes, which the single and the vector environment share.
 
-:class:`Episodes` owns the arrays, begins routes and takes them through the parts of a step; the
-single environment is a batch of one. The arithmetic is in :mod:`amusic_gym.envs.step` and in an
-estimator (:mod:`amusic_gym.estimation.estimator`).
+Python says what happens in which order and answers for live routes and errors; kernels, below, do
+it for every route. Between :func:`choose_routes` and :func:`observe_routes` an estimator takes the
+frame (:mod:`amusic_gym.estimation.estimator`).
 """
 
 from __future__ import annotations
 
-import copy
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from gymnasium.error import ResetNeeded
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.banks.rows import Run
-from amusic_gym.envs.live_route import ENDLESS
-from amusic_gym.envs.observation import declare_costs
-from amusic_gym.envs.outcome import PAST_END, Outcome, OutcomeShape
-from amusic_gym.envs.sources import Recording
-from amusic_gym.envs.step import StepTable, choose_routes, observe_routes, select_routes
-from amusic_gym.estimation.batch import Batch, RouteState, SlotState
-from amusic_gym.estimation.estimator import make_estimator
-from amusic_gym.estimation.settings import COVERAGE, SICSettings
+from amusic_gym.envs.memory import EpisodeMemory, StepTable
+from amusic_gym.envs.observation import WIDTH, observe_route, observe_technique
+from amusic_gym.envs.outcome import PAST_END, Outcome
+from amusic_gym.estimation.prediction import SMOOTHING
+from amusic_gym.estimation.selection import select
+from amusic_gym.kernels.compiling import compiled, inner
+from amusic_gym.kernels.tables import reader
 
-if TYPE_CHECKING:
-    from amusic_gym.envs.live_rows import LiveRows
-
-ROOM = 1024
-"""Frames that there is room for at first on a route of unknown length; it doubles when used up."""
+DOUBT = 0.5
+"""A frame with p̂ below this is one of doubt."""
 
 
-@dataclass(frozen=True)
-class Route:
-    """What one episode runs on.
-
-    Attributes:
-        bank: where the score rows come from: a bank, or a live route.
-        start: the bank's query that is frame 0.
-        frames: length of the route, `ENDLESS` where it is not known.
-        columns: (S,) technique of the bank in each slot, −1 for an empty slot.
-        compute_weight: λ of the episode's reward.
-        index: the bank's number in the environment's list.
-    """
-
-    bank: Recording
-    start: int
-    frames: int
-    columns: NDArray[np.int64]
-    compute_weight: float
-    index: int
-
-
-class Episodes:
-    """A batch of N routes with S technique slots each.
-
-    A step is :meth:`choose`, :meth:`run`, ``estimator.update`` and :meth:`observe`.
+def as_actions(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Actions as booleans; values are checked, not the dtype.
 
     Args:
-        num_routes: N.
-        slots: S.
-        settings: statistic, K, F and γ of SIC.
-        reselection: M, or 0 for actions without a re-select bit.
-        coverage: E, share of MuSIC's choices that a selection covers.
-        allow_idle: whether an empty action runs nothing, instead of the cheapest technique.
-        threads: of the estimator.
+        actions: of one route or of all.
+        shape: (A,) or (N, A), what they must have.
 
-    Attributes:
-        state: what is remembered of the routes.
-        estimator: turns the rows that ran into places.
-        routes: (N,) what each drives on, None before its first episode.
-        drives: (N,) the rows of a live route, None for a bank.
-        room: sizes that the arrays have room for.
+    Raises:
+        ValueError: for a wrong shape or any value but 0 and 1.
     """
+    given = np.asarray(actions)
+    if given.shape != shape:
+        raise ValueError(f"action of shape {given.shape}; the action space has {shape}")
+    if given.dtype.char in "?bB":  # bytes: stripped of 0 and 1, nothing is left
+        valid = not given.tobytes().strip(b"\0\1")
+    else:
+        valid = bool(((given == 0) | (given == 1)).all())
+    if not valid:
+        wrong = given[(given != 0) & (given != 1)][0]
+        raise ValueError(f"action value {wrong}; MultiBinary({shape[-1]}) takes 0 and 1 only")
+    return given.astype(np.bool_)
 
-    def __init__(
-        self,
-        num_routes: int,
-        slots: int,
-        settings: SICSettings,
-        *,
-        reselection: int = 0,
-        coverage: float = COVERAGE,
-        allow_idle: bool = False,
-        threads: int = 1,
-    ) -> None:
-        self.num_routes = num_routes
-        self.slots = slots
-        self.settings = settings
-        self.coverage = coverage
-        self.allow_idle = allow_idle
-        self.routes: list[Route | None] = [None] * num_routes
-        self.drives: list[LiveRows | None] = [None] * num_routes
-        self.is_live = False  # whether there is any live route
-        self._broken = np.zeros(num_routes, np.bool_)  # (N,) cut short by an error
-        self._out = Outcome(OutcomeShape(num_routes, slots, reselection))  # of the last step
-        sizes = {"routes": num_routes, "slots": slots, "block": reselection, "frames": 1}
-        self.state = Batch(sizes, block=reselection)
-        self._actions = np.zeros((num_routes, self.action_size), np.bool_)
-        self.estimator = make_estimator(settings, block=reselection, threads=threads)
-        self.room = {"references": 1, "frames": 1, "candidates": 1}
-        self._allocate()
 
-    @property
-    def block(self) -> int:
-        """M of the re-selection, 0 without."""
-        return self.state.block
+class Episodes(EpisodeMemory):
+    """A batch of N routes with S technique slots each, and the step that all take."""
 
-    @property
-    def action_size(self) -> int:
-        """S, and one more for the re-select bit."""
-        return self.slots + (self.block > 0)
+    def step(self, actions: NDArray[np.bool_], active: NDArray[np.bool_] | None = None) -> Outcome:
+        """Take the active routes, or all, through their next frame; see the four parts.
 
-    # --- memory ---------------------------------------------------------------------------------
-
-    def _allocate(self) -> None:
-        """Make room, keeping what is remembered."""
-        sizes = {**self.state.sizes, **self.room}
-        self.state = self.state.grown(sizes)
-        self.estimator.allocate(self.state, sizes)
-        self._link()
-
-    def _link(self) -> None:
-        """Write the words that kernels read; to be done again when an array is replaced."""
-        step = StepTable(
-            {},
-            batch=self.state,
-            out=self._out,
-            coverage=self.coverage,
-            allow_idle=self.allow_idle,
-            actions=self._actions,
-        )
-        self._words = step.write()
-        self._address: int = self._words.ctypes.data
-
-    def _make_room(self, references: int, frames: int) -> None:
-        """Grow the arrays for a route of that size."""
-        candidates = min(self.settings.candidates, references)
-        wanted = {"references": references, "frames": frames, "candidates": candidates}
-        room = {name: max(size, self.room[name]) for name, size in wanted.items()}
-        if room != self.room:
-            self.room = room
-            self._allocate()
-
-    def _remember_more(self) -> None:
-        """Make room for frames: let the oldest half go if nothing comes back to it, or double.
-
-        Nothing comes back further than a row is on the map; of several routes all frames are kept.
+        Raises:
+            ResetNeeded: for a route that has ended.
+            ValueError: for what a live route cannot read or compute, or a row with NaN or infinite
+                scores.
+            FileNotFoundError: for a live route's image that is gone.
         """
-        room = self.room["frames"]
-        if self.num_routes > 1 or room < 2 * (self.room["references"] + self.block + 1):
-            self._make_room(1, 2 * room)
-            return
-        for table in (self.state, self.estimator.state):
-            table.let_go(room // 2)
-        self.link()
-
-    # --- episodes -------------------------------------------------------------------------------
-
-    def begin(self, i: int, route: Route) -> None:
-        """Start ``route`` as number ``i`` of the batch; nothing has run on it yet."""
-        bank = route.bank
-        if self.state.gone:  # the batch's only route
-            self.state.gone = self.estimator.state.gone = 0
-            self.link()
-        self._make_room(bank.references, ROOM if route.frames == ENDLESS else route.frames)
-        self.drives[i] = (
-            None
-            if isinstance(bank, ScoreBank)
-            else bank.drive(route.start, self.settings, self.block)
-        )
-        if self.is_live or self.drives[i] is not None:
-            self.is_live = any(drive is not None for drive in self.drives)
-        self._broken[i] = False
-        self.routes[i] = route
-        self.state.ran[i].fill(0)
-        record = self.state.routes[i : i + 1]
-        record[:] = np.zeros(1, RouteState.dtype)
-        record["frame"] = -1
-        record["frames"] = route.frames
-        record["bank"] = route.index
-        record["references"] = bank.references
-        record["tolerance"] = bank.tolerance
-        record["compute_weight"] = route.compute_weight
-        record["prediction"] = -1
-        record["technique"] = -1
-        record["spent"] = -1.0
-        present = route.columns >= 0
-        record["total_seconds"] = bank.seconds[route.columns[present]].sum()
-        slots = self.state.slots[i]
-        slots[:] = np.zeros(self.slots, SlotState.dtype)
-        slots["present"] = present
-        slots["last_run"] = -1
-        slots["seconds"][present] = bank.seconds[route.columns[present]]
-        declare_costs(record, slots)
-        self.estimator.begin(i, bank.references)
-        self._point(i)
-
-    def set_compute_weight(self, i: int, weight: float) -> None:
-        """Set λ of a running episode: of rewards and observations from the next step on.
-
-        Args:
-            i: number of the route in the batch.
-            weight: λ, at least 0.
-        """
-        route = self.routes[i]
-        assert route is not None
-        self.routes[i] = replace(route, compute_weight=weight)
-        record = self.state.routes[i : i + 1]
-        record["compute_weight"] = weight
-        declare_costs(record, self.state.slots[i])
-
-    def _point(self, i: int) -> None:
-        """Write the addresses of a route's rows."""
-        route = self.routes[i]
-        if route is None:
-            return
-        bank, runs, drive = route.bank, self.state.runs[i], self.drives[i]
-        runs[:] = np.zeros(self.slots, Run.dtype)
-        if drive is not None:
-            drive.point(runs, route.columns)
-            return
-        assert isinstance(bank, ScoreBank)
-        runs["start"] = route.start
-        columns = np.maximum(route.columns, 0)  # an empty slot's are never read
-        bank.prepared(self.settings.candidates).point(runs, columns)
-
-    # --- a step ---------------------------------------------------------------------------------
+        self.choose(actions, active)  # which techniques run on the next frame
+        self.run()  # their score rows: a bank has them, a live route computes them now
+        self.estimator.update()  # SIC and MuSIC, or the belief: place, confidence, p̂
+        return self.observe()  # what a robot would know
 
     def choose(self, actions: NDArray[np.bool_], active: NDArray[np.bool_] | None = None) -> None:
         """Decide which techniques run on the next frame of the active routes.
@@ -277,11 +112,14 @@ class Episodes:
             ResetNeeded: for a route that has ended.
             ValueError: for a row with NaN or infinite scores, naming technique and frame.
         """
-        self._out.memory.fill(0)
+        self.shown.fill(0)
         bad_rows = observe_routes(self._address)
         if self.is_live:
             self._broken &= ~self.state.active
-        out = self._out.copy()
+        record: Any = np.ndarray((), self.layout, self.shown.copy())
+        out = Outcome(
+            record["routes"], record["slots"], record["corrections"], record["observation"]
+        )
         if bad_rows:
             self._refuse(out.routes["bad_row"])
         return out
@@ -354,46 +192,144 @@ class Episodes:
         if drive.route.charge_wall_time:
             self.state.routes["spent"][i] = drive.spent
 
-    # --- copies ---------------------------------------------------------------------------------
 
-    def repeated(self, copies: int) -> Episodes:
-        """A batch in which every route stands ``copies`` times in a row, each as it is now.
+_step_at: Any = reader(StepTable)
 
-        Raises:
-            ValueError: for live routes: the future of a camera can't be had several times.
-        """
-        if self.is_live:
-            raise ValueError("a live route cannot be copied; give score banks")
-        twin = copy.copy(self)
-        twin.num_routes = self.num_routes * copies
-        twin.routes = [route for route in self.routes for _ in range(copies)]
-        twin.drives = [None] * twin.num_routes
-        twin._broken = np.repeat(self._broken, copies)
-        twin._out = Outcome(OutcomeShape(twin.num_routes, self.slots, self.block))
-        twin._actions = np.repeat(self._actions, copies, 0)
-        twin.state = self.state.repeated(copies)
-        twin.estimator = self.estimator.repeated(twin.state, copies)
-        twin._link()
-        return twin
 
-    def __getstate__(self) -> dict[str, Any]:
-        """All but the addresses, which are those of this copy's arrays."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("_words", "_address")}
+@compiled
+def select_routes(address: int) -> None:
+    """Select techniques on the routes that want it, after an estimator has looked back.
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore a copy and write the addresses of its own arrays and of its banks' rows."""
-        self.__dict__.update(state)
-        self.link()
+    Args:
+        address: of the words of a :class:`StepTable`.
+    """
+    step = _step_at(address)
+    for i in range(step.batch.wanted.size):
+        if step.batch.wanted[i]:
+            select(step.batch, i, step.coverage)
 
-    def link(self) -> None:
-        """Write the addresses of all arrays and rows anew, after some were replaced."""
-        self.estimator.link(self.state)
-        self._link()
-        for i in range(self.num_routes):
-            self._point(i)
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Episodes:
-        twin = type(self).__new__(type(self))
-        memo[id(self)] = twin
-        twin.__setstate__({k: copy.deepcopy(v, memo) for k, v in self.__getstate__().items()})
-        return twin
+@inner
+def choose_runs(step: StepTable, i: int) -> None:
+    """Decide which techniques run on a route's next frame, and what they cost.
+
+    Those of the selection, or of the action; where it names none, the cheapest, or nothing.
+    """
+    route, slots, action = step.batch.routes[i], step.batch.slots[i], step.actions[i]
+    route.technique, route.similarity = -1, 0.0
+    route.selected = step.batch.wanted[i]
+    if not route.selected:
+        route.seconds = 0.0
+    cheapest, count = -1, 0
+    for s in range(slots.size):
+        slot = slots[s]
+        slot.ran, slot.chosen = False, False
+        if not route.selected:
+            slot.selected, slot.tally, slot.late_runs = False, 0, 0
+        if slot.present:
+            slot.ran = slot.selected if route.selected else action[s]
+            count += slot.ran
+            if cheapest < 0 or slot.seconds < slots[cheapest].seconds:
+                cheapest = s
+    route.idle = count == 0 and step.allow_idle
+    route.fallback = count == 0 and not step.allow_idle
+    if route.fallback:
+        slots[cheapest].ran = True
+    for s in range(slots.size):
+        if slots[s].present:
+            step.batch.ran[i, s, route.frame + 1] = slots[s].ran
+            if slots[s].ran:
+                route.seconds += slots[s].seconds
+
+
+@compiled
+def choose_routes(address: int) -> None:
+    """Decide what runs on the next frame of every active route.
+
+    A route that has ended, which an error may have hidden from whoever steps it, stays as it is.
+
+    Args:
+        address: of the words of a :class:`StepTable`.
+    """
+    step = _step_at(address)
+    batch = step.batch
+    for i in range(batch.active.size):
+        if batch.active[i] and batch.routes[i].frame + 1 >= batch.routes[i].frames:
+            batch.active[i] = False
+            batch.routes[i].bad_row = PAST_END
+        if batch.active[i]:
+            choose_runs(step, i)
+
+
+@inner
+def show_step(step: StepTable, i: int) -> None:
+    """Copy what belongs to the step to the outcome; running means of its cost and of p̂."""
+    route, slots, out = step.batch.routes[i], step.batch.slots[i], step.out.routes[i]
+    if route.spent >= 0.0:
+        route.seconds = route.spent
+    route.compute = route.seconds / route.total_seconds
+    route.compute_mean += SMOOTHING * (route.compute - route.compute_mean)
+    route.p_correct_mean += SMOOTHING * (route.p_correct - route.p_correct_mean)
+    route.since_doubt = 0.0 if route.p_correct < DOUBT else route.since_doubt + 1.0
+    out.idle, out.fallback, out.happened = route.idle, route.fallback, route.selected
+    out.technique, out.similarity, out.seconds = route.technique, route.similarity, route.seconds
+    for s in range(slots.size):
+        slot, shown = slots[s], step.out.slots[i, s]
+        shown.selected, shown.tally, shown.late_runs = slot.selected, slot.tally, slot.late_runs
+        if slot.ran:
+            shown.ran = True
+            shown.place = slot.place
+            shown.statistic = slot.statistic
+            shown.correction = slot.correction
+    if route.selected:
+        corrections, shown_corrections = step.batch.corrections[i], step.out.corrections[i]
+        for s in range(slots.size):
+            if slots[s].present:
+                for past in range(min(step.batch.block, route.frame)):
+                    shown_corrections[s, past] = corrections[s, past]
+
+
+@inner
+def show_route(step: StepTable, i: int) -> None:
+    """Copy what is known of a route to the outcome, and write its observation."""
+    route, slots, out = step.batch.routes[i], step.batch.slots[i], step.out.routes[i]
+    observation = step.out.observation[i]
+    for s in range(slots.size):
+        step.out.slots[i, s].present = slots[s].present
+        step.out.slots[i, s].run_seconds = slots[s].seconds
+        if slots[s].present:
+            observe_technique(slots[s], route, observation[s * WIDTH : (s + 1) * WIDTH])
+    observe_route(route, observation[slots.size * WIDTH :])
+    out.route = route.bank
+    out.compute_weight = route.compute_weight
+    out.ended = route.frame + 1 >= route.frames
+    out.frame = route.frame
+    out.prediction = route.prediction
+    out.confidence = route.confidence
+    out.margin = route.margin
+    out.p_correct = route.p_correct
+    out.compute = route.compute
+    out.bad_row = route.bad_row
+    route.bad_row = 0
+
+
+@compiled
+def observe_routes(address: int) -> int:
+    """Write what is known of every route to the outcome, which is zeros before.
+
+    Args:
+        address: of the words of a :class:`StepTable`.
+
+    Returns:
+        Number of routes on which something is wrong; their ``bad_row`` tells what.
+    """
+    step = _step_at(address)
+    bad_rows = 0
+    for i in range(step.batch.active.size):
+        if step.batch.active[i]:
+            show_step(step, i)
+        else:
+            step.out.routes[i].technique = -1
+        show_route(step, i)
+        bad_rows += step.out.routes[i].bad_row != 0
+    return bad_rows

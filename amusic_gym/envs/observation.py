@@ -1,7 +1,7 @@
 """The observation: what a robot would know, one group per technique and one for the route.
 
-The names below are the layout; :func:`observe` writes them in this order, and the environment's
-docstring explains each.
+The names below are the layout; :func:`observe_technique` and :func:`observe_route` write them in
+this order, and the environment's docstring explains each.
 """
 
 from __future__ import annotations
@@ -66,6 +66,9 @@ ROUTE_FEATURES = (
     "on_map",
 )
 
+WIDTH = len(TECHNIQUE_FEATURES)
+"""Entries of a technique's group."""
+
 SQUASH_HALF = 4.0
 """The number that squash maps to one half."""
 
@@ -78,7 +81,7 @@ _LOG_SPAN = math.log10(COMPUTE_WEIGHT_RANGE[1]) - _LOG_LOW
 
 def observation_size(slots: int) -> int:
     """Length of the flat observation for a number of technique slots."""
-    return slots * len(TECHNIQUE_FEATURES) + len(ROUTE_FEATURES)
+    return slots * WIDTH + len(ROUTE_FEATURES)
 
 
 @inner
@@ -139,16 +142,6 @@ def observe_route(route: RouteState, out: NDArray[np.float32]) -> None:
     out[18] = squash(route.track)
     out[19] = route.support
     out[20] = sigmoid(route.on_map)
-
-
-@inner
-def observe(route: RouteState, slots: Any, out: NDArray[np.float32]) -> None:
-    """Write the observation of one route to ``out`` (D,), float32; absent slots are zero."""
-    width = len(TECHNIQUE_FEATURES)
-    for s in range(slots.size):
-        if slots[s].present:
-            observe_technique(slots[s], route, out[s * width : (s + 1) * width])
-    observe_route(route, out[slots.size * width :])
 
 
 def declare_costs(route: NDArray[Any], slots: NDArray[Any]) -> None:

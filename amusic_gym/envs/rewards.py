@@ -33,6 +33,8 @@ class RewardInputs(NamedTuple):
 
 Reward = Callable[[RewardInputs], Mapping[str, NDArray[np.float64]]]
 
+Terms = dict[str, NDArray[np.float64]]
+"""Terms of a reward by name, each (N,)."""
 
 Number = TypeVar("Number", float, NDArray[np.float64])
 

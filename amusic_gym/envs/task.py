@@ -10,7 +10,7 @@ import copy
 import inspect
 import math
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +18,12 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from amusic_gym.envs.episode import Episodes, Route
-from amusic_gym.envs.infos import Infos, Terms, batch_infos, single_info
+from amusic_gym.envs.episode import Episodes
 from amusic_gym.envs.live_route import ENDLESS
+from amusic_gym.envs.memory import Route
 from amusic_gym.envs.observation import bounds
-from amusic_gym.envs.outcome import Outcome, RouteResult
-from amusic_gym.envs.rewards import Reward, RewardInputs, as_reward, estimated, trade
+from amusic_gym.envs.outcome import Outcome
+from amusic_gym.envs.rewards import Reward, RewardInputs, Terms, as_reward
 from amusic_gym.envs.sources import BankLike, Recording, RouteSource, as_source, columns_for
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.utils.checks import flag, number, whole
@@ -36,11 +36,6 @@ RESET_OPTIONS = ("bank", "start", "compute_weight")
 RENDER_MODES = ("ansi", "rgb_array", "rgb_array_list", "human")
 RENDER_FPS = 10
 """Frames per second of videos, and the most that the window of "human" shows."""
-
-_FRAME, _ENDED, _P_CORRECT, _COMPUTE, _COMPUTE_WEIGHT = (
-    list(RouteResult.dtype.names or ()).index(name)
-    for name in ("frame", "ended", "p_correct", "compute", "compute_weight")
-)
 
 
 class Task:
@@ -116,6 +111,7 @@ class Task:
         )
         self.slots = self._count("slots", slots, least=self.source.slots) or self.source.slots
         self.episode_length = self._count("episode_length", episode_length, least=1)
+        self.last_frame = (self.episode_length or ENDLESS) - 1  # that an episode may have
         block = self._count("reselection", reselection, least=1) or 0
         if not 0.0 < number("coverage (E)", coverage, "a number in (0, 1]") <= 1.0:
             raise ValueError(f"coverage (E) is {coverage}; give a number in (0, 1]")
@@ -210,37 +206,7 @@ class Task:
                 raise ValueError(f"reset option {name} is {value!r}; give a {kind}") from None
         return given
 
-    def check_actions(self, actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """Actions as booleans; values are checked, not the dtype.
-
-        Args:
-            actions: of one route or of all.
-            shape: (A,) or (N, A), what they must have.
-
-        Raises:
-            ValueError: for a wrong shape or any value but 0 and 1.
-        """
-        given = np.asarray(actions)
-        if given.shape != shape:
-            raise ValueError(f"action of shape {given.shape}; the action space has {shape}")
-        if given.dtype.char in "?bB":  # bytes: stripped of 0 and 1, nothing is left
-            valid = not given.tobytes().strip(b"\0\1")
-        else:
-            valid = bool(((given == 0) | (given == 1)).all())
-        if not valid:
-            wrong = given[(given != 0) & (given != 1)][0]
-            raise ValueError(f"action value {wrong}; {self.action_space} takes 0 and 1 only")
-        return given.astype(np.bool_)
-
-    def advance(
-        self, actions: NDArray[np.bool_], active: NDArray[np.bool_] | None = None
-    ) -> Outcome:
-        """Take the active routes, or all, through their next frame."""
-        episodes = self.episodes
-        episodes.choose(actions, active)  # which techniques run on the next frame
-        episodes.run()  # their score rows: a bank has them, a live route computes them now
-        episodes.estimator.update()  # SIC and MuSIC, or the belief: place, confidence, p̂
-        return episodes.observe()  # what a robot would know
+    # --- a step ---------------------------------------------------------------------------------
 
     def step(
         self, actions: NDArray[np.bool_], active: NDArray[np.bool_] | None = None
@@ -250,52 +216,32 @@ class Task:
         Returns:
             Outcome, rewards and their terms, all with leading N; 0 where no frame was processed.
         """
-        out = self.advance(actions, active)
-        terms = self._terms(out)
-        if active is not None or self.episodes.is_live:  # a source may have ended
-            kept = self.episodes.state.active
-            terms = {name: np.where(kept, term, 0.0) for name, term in terms.items()}
-        return out, sum(terms.values(), np.zeros(self.episodes.num_routes)), terms
-
-    def step_one(self, actions: NDArray[np.bool_]) -> tuple[Outcome, float, bool, bool, Infos]:
-        """As :meth:`step` and :meth:`ends` of a batch of one, in Python's numbers, with its infos.
-
-        The reward that an environment has by default is not worth NumPy's arrays of one.
-        """
-        if self.reward is estimated and not self.episodes.is_live:
-            out = self.advance(actions)
-            result = out.first()
-            terms = trade(result[_P_CORRECT], result[_COMPUTE], result[_COMPUTE_WEIGHT])
-            reward = sum(terms.values())
-        else:
-            out, rewards, arrays = self.step(actions)
-            result, reward = out.first(), rewards.item()
-            terms = {name: term.item() for name, term in arrays.items()}
-        terminated = result[_ENDED]
-        truncated = self._late(result[_FRAME]) and not terminated
-        return out, reward, terminated, truncated, single_info(out, result, terms)
+        out = self.episodes.step(actions, active)
+        return out, *self.rewards(out)
 
     def ends(self, out: Outcome) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """(N,) whether each route has terminated, and whether it was truncated."""
         routes = out.routes
         terminated = routes["ended"].copy()
-        if self.episode_length is None:
-            return terminated, np.zeros_like(terminated)
-        return terminated, self._late(routes["frame"]) & ~terminated
+        return terminated, (routes["frame"] >= self.last_frame) & ~terminated
 
-    def _late(self, frame: Any) -> Any:
-        """Whether a frame, or each of several, is the last that an episode may have."""
-        return frame + 1 >= (self.episode_length or ENDLESS)
+    def rewards(self, out: Outcome) -> tuple[NDArray[np.float64], Terms]:
+        """Rewards (N,) and their terms by name, each (N,); 0 where no frame was processed.
 
-    def _terms(self, out: Outcome, correct: Callable[[], NDArray[np.bool_]] | None = None) -> Terms:
-        """Terms of the reward by name, each (N,); a single number holds for all routes."""
-        weights = out.routes["compute_weight"]
-        terms = self.reward(RewardInputs(out, weights, correct or partial(self.correct, out)))
-        if not isinstance(terms, Mapping) or not terms:
+        Raises:
+            ValueError: for a reward that gives none.
+        """
+        inputs = RewardInputs(out, out.routes["compute_weight"], partial(self.correct, out))
+        given = self.reward(inputs)
+        if not isinstance(given, Mapping) or not given:
             raise ValueError(
-                f"the reward gave {terms!r}; let it return named terms, for example {{'mine': ...}}"
+                f"the reward gave {given!r}; let it return named terms, for example {{'mine': ...}}"
             )
-        return {name: self._per_route(term) for name, term in terms.items()}
+        terms = {name: self._per_route(term) for name, term in given.items()}
+        active = self.episodes.state.active  # not those whose source has ended
+        if not active.all():
+            terms = {name: np.where(active, term, 0.0) for name, term in terms.items()}
+        return sum(terms.values(), np.zeros(self.episodes.num_routes)), terms
 
     def _per_route(self, term: ArrayLike) -> NDArray[np.float64]:
         """A term as an array (N,) of its own."""
@@ -324,22 +270,7 @@ class Task:
         twin.episodes = self.episodes.repeated(copies)
         return twin
 
-    # --- infos ----------------------------------------------------------------------------------
-
-    def begun_infos(self, out: Outcome, mask: NDArray[np.bool_]) -> Infos:
-        """Infos of a batch before the first step of the routes of a mask (N,)."""
-        return batch_infos(out, self._no_terms(out), mask)
-
-    def begun_info(self, out: Outcome) -> Infos:
-        """Infos of a batch of one before its first step, as a single environment gives them."""
-        terms = {name: term.item() for name, term in self._no_terms(out).items()}
-        return single_info(out, out.first(), terms)
-
-    def _no_terms(self, out: Outcome) -> Terms:
-        """Zeros in place of a reward's terms, before the first step."""
-        zeros = np.zeros(self.episodes.num_routes)
-        terms = self._terms(out, lambda: zeros.astype(np.bool_))
-        return {name: np.zeros_like(zeros) for name in terms}
+    # --- pictures -------------------------------------------------------------------------------
 
     def render(self, mode: str | None, viewer: Viewer | None) -> tuple[Any, ...] | None:
         """What each route shows in a render mode; None for a mode that returns nothing."""

@@ -12,11 +12,17 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from amusic_gym.envs.infos import Infos, Terms, batch_infos
-from amusic_gym.envs.outcome import Outcome
+from amusic_gym.envs.episode import as_actions
+from amusic_gym.envs.outcome import (
+    ROUTE_INFOS,
+    SELECTION_INFOS,
+    TECHNIQUE_INFOS,
+    Infos,
+    Outcome,
+)
 from amusic_gym.envs.pictures.viewer import Viewer, viewer_for
 from amusic_gym.envs.registration import Specified
-from amusic_gym.envs.rewards import Reward
+from amusic_gym.envs.rewards import Reward, Terms
 from amusic_gym.envs.sources import BankLike, RouteSource
 from amusic_gym.envs.task import RENDER_FPS, RENDER_MODES, Task, as_seed
 from amusic_gym.estimation.settings import COVERAGE, SICSettings
@@ -149,7 +155,7 @@ class TechniqueSelectionVectorEnv(
         out = self.task.episodes.look()
         if self._viewer is not None:
             self._viewer.look()
-        return out.observation, self.task.begun_infos(out, mask)
+        return out.observation, infos_of(out, self.task.rewards(out)[1], mask)
 
     def _begin(self, i: int, options: Mapping[str, Any] | None = None) -> None:
         given = {name: self._entry(name, value, i) for name, value in (options or {}).items()}
@@ -196,7 +202,7 @@ class TechniqueSelectionVectorEnv(
             ValueError: for actions outside the action space.
         """
         self._check_running()
-        checked = self.task.check_actions(actions, self._action_shape)
+        checked = as_actions(actions, self._action_shape)
         active = None
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._ended.any():
             active = ~self._ended
@@ -210,7 +216,7 @@ class TechniqueSelectionVectorEnv(
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
             out, infos = self._restart(out, terms)
         else:
-            infos = batch_infos(out, terms)
+            infos = infos_of(out, terms)
         if self._viewer is not None:
             self._viewer.look()
         return out.observation, rewards, terminated, truncated, infos
@@ -235,14 +241,14 @@ class TechniqueSelectionVectorEnv(
         for i in np.flatnonzero(ended):
             self._begin(int(i))
         out.take(self.task.episodes.look(), ended)
-        infos = batch_infos(out, {name: np.where(ended, 0.0, term) for name, term in terms.items()})
+        infos = infos_of(out, {name: np.where(ended, 0.0, term) for name, term in terms.items()})
         final = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(ended):
             final[i] = last.observation[i]
         infos |= {
             "final_obs": final,
             "_final_obs": ended.copy(),
-            "final_info": batch_infos(last, terms, ended),
+            "final_info": infos_of(last, terms, ended),
             "_final_info": ended,
         }
         return out, infos
@@ -307,3 +313,37 @@ class TechniqueSelectionVectorEnv(
         """Close the window, if there is one."""
         if self._viewer is not None:
             self._viewer.close()
+
+
+def infos_of(out: Outcome, terms: Terms, mask: NDArray[np.bool_] | None = None) -> Infos:
+    """Infos as Gymnasium's vector environments give them: name → array with leading N.
+
+    Args:
+        out: what the step gave.
+        terms: of the reward.
+        mask: (N,) routes that they are of; zero and unset outside. None: all.
+    """
+    if mask is not None and not mask.all():
+        out = out.only(mask)
+        terms = {name: np.where(mask, term, 0.0) for name, term in terms.items()}
+    routes, slots = out.routes, out.slots
+    infos: Infos = {name: routes[name].copy() for name in ROUTE_INFOS}
+    for name in TECHNIQUE_INFOS:
+        infos[name] = slots[name].copy()
+    infos["reward_terms"] = _with_masks(dict(terms), mask, len(routes))
+    if out.corrections.size:
+        selection = {"happened": routes["happened"].copy(), "corrections": out.corrections}
+        for name in SELECTION_INFOS:
+            selection[name] = slots[name].copy()
+        infos["selection"] = _with_masks(selection, mask, len(routes))
+    return _with_masks(infos, mask, len(routes))
+
+
+def _with_masks(infos: Infos, mask: NDArray[np.bool_] | None, routes: int) -> Infos:
+    """Infos with a mask (N,) after each, an array of its own."""
+    masks = np.empty((len(infos), routes), np.bool_)
+    masks[:] = True if mask is None else mask
+    result: Infos = {}
+    for (name, value), its in zip(infos.items(), masks, strict=True):
+        result[name], result["_" + name] = value, its
+    return result

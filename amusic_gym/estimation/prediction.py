@@ -11,9 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.banks.rows import deviation, mean_at, row_at, scale_at, top_at
+from amusic_gym.banks.rows import prepared_at, top_at, z_at
 from amusic_gym.estimation.batch import Batch, RouteState, SlotState
-from amusic_gym.kernels.compiling import compiled, inner
+from amusic_gym.kernels.compiling import apart, inner
 
 SMOOTHING = 0.2
 """Weight of the newest value in every running mean of the observation."""
@@ -31,9 +31,6 @@ IDLE_DECAY = 0.9995
 An assumption about the robot, not a fit: where it moves on by exactly one place per frame, nothing
 decays.
 """
-
-DOUBT = 0.5
-"""A frame with p̂ below this is one of doubt."""
 
 LEAVES, RETURNS = 0.01, 0.02
 """Probability per frame of leaving the map, and of coming back."""
@@ -58,37 +55,23 @@ SURE_OF_MAP = 12.0
 
 
 @inner
-def tie(best: float) -> float:
-    """How far below ``best`` a statistic still counts as equal."""
-    return ABSOLUTE_TIE + RELATIVE_TIE * abs(best)
-
-
-@inner
 def first_near(values: NDArray[np.float64], best: float, size: int) -> int:
     """Index of the first value that is as good as ``best``, the highest of them."""
-    floor = best - tie(best)
+    floor = best - (ABSOLUTE_TIE + RELATIVE_TIE * abs(best))
     for i in range(size):
         if values[i] >= floor:
             return i
     return 0
 
 
-@compiled
-def first_best(values: NDArray[np.float64], size: int) -> int:
-    """Index of the highest of ``values``; of equal ones the first."""
-    best = values[0]
-    for i in range(1, size):
-        best = max(best, values[i])
-    return first_near(values, best, size)
-
-
 @inner
 def choose_technique(batch: Batch, i: int) -> int:
     """Choose the technique of the highest discounted statistic (MuSIC, III-B)."""
-    slots, statistics = batch.slots[i], batch.scratch
+    slots, statistics, best = batch.slots[i], batch.scratch, -math.inf
     for s in range(slots.size):
         statistics[s] = slots[s].statistic * slots[s].discount if slots[s].ran else -math.inf
-    chosen = first_best(statistics, slots.size)
+        best = max(best, statistics[s])
+    chosen = first_near(statistics, best, slots.size)
     slots[chosen].chosen = True
     batch.routes[i].technique = chosen
     return chosen
@@ -161,7 +144,7 @@ def locate(route: RouteState, most: float, least: float) -> None:
     route.on_map = min(max(odds, -SURE_OF_MAP), SURE_OF_MAP)
 
 
-@inner
+@apart
 def relate(batch: Batch, i: int, frame: int) -> None:
     """Relate every technique's last run to the prediction, and tell whether that is on the map."""
     slots, route = batch.slots[i], batch.routes[i]
@@ -180,11 +163,10 @@ def relate(batch: Batch, i: int, frame: int) -> None:
         agreeing += slot.agrees
         if slot.ran:
             run = batch.runs[i, s]
-            z = deviation(row_at(run, frame)[route.prediction], mean_at(run, frame)[0])
-            slot.support = z * scale_at(run, frame)[0]
+            slot.support = z_at(run, frame, route.prediction)
             near = abs(top_at(run, frame)[0] - route.prediction) <= route.tolerance
             slot.confirms = 1.0 if near else 0.0
-            if scale_at(run, frame)[0] > 0.0:
+            if prepared_at(run, frame).scale > 0.0:
                 said = map_likelihood(slot, route)
                 most, least = max(most, said), min(least, said)
             slot.runs += 1.0
@@ -199,10 +181,3 @@ def relate(batch: Batch, i: int, frame: int) -> None:
     locate(route, most, least)
     route.agreeing = agreeing / present
     route.similarity = slots[route.technique].support if route.technique >= 0 else 0.0
-
-
-@inner
-def remember(route: RouteState) -> None:
-    """Update the running means of an estimate that is complete."""
-    route.since_doubt = 0.0 if route.p_correct < DOUBT else route.since_doubt + 1.0
-    route.p_correct_mean += SMOOTHING * (route.p_correct - route.p_correct_mean)

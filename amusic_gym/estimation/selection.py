@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from amusic_gym.estimation.batch import Batch
-from amusic_gym.estimation.prediction import first_best
+from amusic_gym.estimation.prediction import first_near
 from amusic_gym.kernels.compiling import apart
 
 
@@ -34,5 +34,8 @@ def select(batch: Batch, i: int, coverage: float) -> None:
         slots[s].selected, slots[s].tally = False, 0
         route.seconds += slots[s].late_runs * slots[s].seconds
     for past in range(size):
-        slots[first_best(batch.statistics[i, past], slots.size)].tally += 1
+        statistics, best = batch.statistics[i, past], -math.inf
+        for s in range(slots.size):
+            best = max(best, statistics[s])
+        slots[first_near(statistics, best, slots.size)].tally += 1
     take_techniques(slots, size, coverage)

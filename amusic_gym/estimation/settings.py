@@ -8,8 +8,8 @@ from amusic_gym.utils.checks import flag, number, whole
 from amusic_gym.utils.names import suggest
 
 ESTIMATORS = {
-    "mean": "amusic_gym.estimation.sic.estimator:SICEstimator",
-    "evidence": "amusic_gym.estimation.sic.estimator:SICEstimator",
+    "mean": "amusic_gym.estimation.sic.update:SICEstimator",
+    "evidence": "amusic_gym.estimation.sic.update:SICEstimator",
     "belief": "amusic_gym.estimation.belief.estimator:BeliefEstimator",
 }
 """Statistic → module and class of its estimator (:mod:`amusic_gym.estimation.estimator`)."""

@@ -105,7 +105,11 @@ def inner(function: Function) -> Function:
 
 
 def apart(function: Function) -> Function:
-    """As :func:`inner`, but kept out of its callers' code: for what runs rarely."""
+    """As :func:`inner`, but kept out of its callers' code: for what runs rarely, or is large.
+
+    What is inlined is optimised anew in each caller. A call costs little where arguments are
+    numbers and tables; arrays among them are counted.
+    """
     compiled_function: Function = _once(_njit(**INNER)(function))
     return compiled_function
 

@@ -91,7 +91,8 @@ class _Belief:
     """The route itself, driven a second time: all techniques feed one belief."""
 
     def __init__(self, bank: ScoreBank, settings: SICSettings) -> None:
-        from amusic_gym.envs.episode import Episodes, Route
+        from amusic_gym.envs.episode import Episodes
+        from amusic_gym.envs.memory import Route
 
         columns = np.arange(len(bank.techniques))
         self.episodes = Episodes(1, columns.size, settings)
@@ -107,10 +108,7 @@ class _Belief:
     def _step(episodes: Any, technique: int) -> int:
         actions = np.zeros((1, episodes.slots), np.bool_)
         actions[0, technique] = True
-        episodes.choose(actions)
-        episodes.estimator.update()
-        out = episodes.observe()
-        return int(out.routes["prediction"][0])
+        return int(episodes.step(actions).routes["prediction"][0])
 
 
 def oracle(argument: str | None, context: Context) -> Oracle:

@@ -12,7 +12,8 @@ from amusic_gym.envs.pictures.scene import Scene, Trail
 from amusic_gym.envs.window import Window
 
 if TYPE_CHECKING:
-    from amusic_gym.envs.episode import Episodes, Route
+    from amusic_gym.envs.episode import Episodes
+    from amusic_gym.envs.memory import Route
 
 PICTURE_MODES = ("rgb_array", "rgb_array_list", "human")
 """Render modes that make pictures."""

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.banks.rows import prepare, scale_at, top_at
+from amusic_gym.banks.rows import prepare, prepared_at, top_at
 from amusic_gym.estimation.belief.agreement import learn_likenesses, weigh_techniques
 from amusic_gym.estimation.belief.model import (
     ACQUAINTED,
@@ -38,7 +38,6 @@ from amusic_gym.estimation.prediction import (
     choose_technique,
     logit_of,
     relate,
-    remember,
     set_prediction,
     sigmoid,
 )
@@ -60,7 +59,7 @@ def read_rows(state: BeliefState, which: int, i: int, frame: int) -> int:
             continue
         count += 1
         known, likelihood = state.techniques[which, i, s], state.likelihoods[s]
-        if scale_at(runs[s], frame)[0] > 0.0:
+        if prepared_at(runs[s], frame).scale > 0.0:
             hub, variance = state.hubs[which, i, s], state.variances[which, i, s]
             state.shifts[s] = row_likelihood(
                 known, runs[s], frame, hub, variance, likelihood, state.logs[s]
@@ -300,5 +299,4 @@ def update_routes(address: int) -> None:
             relate(batch, i, frame)
             if known:
                 estimate_correctness(state, i)
-            remember(route)
             route.frame = frame

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.banks.rows import MASKED, Run, mean_at, ready_at, row_at, scale_at
+from amusic_gym.banks.rows import MASKED, Run, prepared_at, row_at
 from amusic_gym.estimation.belief.model import (
     FLOOR,
     HUB_STEP,
@@ -104,8 +104,9 @@ def standardise(run: Run, frame: int, hub: NDArray[np.float64], out: NDArray[np.
 
     These have 0 there and in the mean row.
     """
-    row, mean, scale = row_at(run, frame), mean_at(run, frame)[0], scale_at(run, frame)[0]
-    masked: bool = ready_at(run, frame)[0] == MASKED
+    row, prepared = row_at(run, frame), prepared_at(run, frame)
+    mean, scale = prepared.mean, prepared.scale
+    masked: bool = prepared.state == MASKED
     for place in range(row.size):
         out[place] = (row[place] - mean) * scale
     if masked:

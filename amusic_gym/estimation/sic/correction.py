@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from amusic_gym.banks.rows import RowBuffer
 from amusic_gym.estimation.batch import Batch
 from amusic_gym.estimation.settings import SICSettings
-from amusic_gym.estimation.sic.estimator import SICEstimator
 from amusic_gym.estimation.sic.sums import discount_of
-from amusic_gym.estimation.sic.update import correct_one, weigh_frame
+from amusic_gym.estimation.sic.update import SICEstimator, correct_one, count_frame
 
 
 class Match(NamedTuple):
@@ -85,8 +84,8 @@ class SIC:
         frame = self._advance(ran=True)
         self._buffer.put(frame, scores)
         winner = correct_one(self._sic.address, frame, self._last, fused)
-        top, values = self._buffer.top[frame], self._sic.state.values[0]
-        self._last = int(np.concatenate([top, self._sic.state.carried[0]])[winner])
+        values = self._sic.state.values[0]
+        self._last = int(self._sic.state.candidates[0, winner])
         return Match(self._last, float(values[winner]), float(values[winner] - values[0]))
 
     def preview(self, row: ArrayLike, fused: int = -1) -> Match:
@@ -129,5 +128,5 @@ class SIC:
             self._sic.allocate(self._batch, sizes)
         self._buffer.point(self._batch.runs[0])
         self._batch.ran[0, 0, self.frame] = ran
-        weigh_frame(self._sic.address, self.frame)
+        count_frame(self._sic.address, self.frame)
         return self.frame

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 
-from amusic_gym.banks.rows import prepare, top_at
+from amusic_gym.banks.rows import prepare
 from amusic_gym.estimation.sic.state import LAGGED, LIVE, SICState, state_at
-from amusic_gym.estimation.sic.statistics import candidate_at, ratio_of, weigh
-from amusic_gym.estimation.sic.sums import discount_of, push
-from amusic_gym.estimation.sic.update import correct_frame, store_result
+from amusic_gym.estimation.sic.sums import (
+    correct_frame,
+    count_runs,
+    discount_of,
+    push,
+    store_result,
+)
 from amusic_gym.kernels.compiling import apart, compiled, inner
 
 
@@ -17,11 +21,10 @@ def advance_lagged(state: SICState, i: int, s: int, first: int) -> None:
     """Bring the lagged sums of a technique up to the block that starts at ``first``."""
     batch = state.batch
     slot, run, ran = batch.slots[i, s], batch.runs[i, s], batch.ran[i, s]
-    sums, mark = state.sums[LAGGED, i, s], state.marks[LAGGED, i, s]
     for frame in range(slot.lagged, first):
         if ran[frame]:
             prepare(run, frame)  # again in an unpickled environment, whose bank starts unprepared
-            push(sums, mark, run, ran, frame, state.history, state.gamma)
+            push(state, LAGGED, i, s, frame)
     slot.lagged = first
 
 
@@ -76,14 +79,13 @@ def run_block(state: SICState, i: int, s: int, first: int, stop: int) -> None:
     for past in range(first, stop):
         batch.slots[i, s].late_runs += 1 - ran[past]
         ran[past] = True
-    ratio = ratio_of(state.gamma, state.evidence)
-    weigh(state.counts[i, s], state.prefix[i, s], ran, first, stop, ratio)
+    count_runs(state, i, s, first, stop)
     restart_from_lagged(state, i, s, first)
     own = match_before(state, i, s, first)
     for past in range(first, stop):
         fused = state.predictions[i, past - 1] if past > 0 else -1
         winner = correct_frame(state, i, s, past, moved_on(own), moved_on(fused))
-        own = candidate_at(top_at(batch.runs[i, s], past), state.carried[s], winner)
+        own = state.candidates[s, winner]
         state.places[i, s, past] = own
         values = state.values[s]
         batch.statistics[i, past - first, s] = values[winner] * discount_of(state.marks[LIVE, i, s])

@@ -52,16 +52,17 @@ class SICState(Table):
 
     Arrays: ``marks`` (sets, N, S) and ``sums`` (sets, N, S, R + SLACK), two sets with re-selection;
     ``counts`` (N, S, Q + 1) and, where γ < 1, ``prefix`` (N, S, Q + 1), see
-    :func:`~amusic_gym.estimation.sic.statistics.weigh`; ``places`` (N, S, Q) matches of what ran
-    and ``predictions`` (N, Q), both with re-selection only; scratch: ``values`` (S, K + CARRIED)
-    statistics of the candidates, ``carried`` (S, CARRIED) places carried on from earlier frames;
-    ``factors`` (F + 2,), see :func:`~amusic_gym.estimation.sic.statistics.factors_of`;
-    ``calibration`` (C,), see :mod:`amusic_gym.estimation.calibration`.
+    :func:`~amusic_gym.estimation.sic.sums.count_runs`; ``places`` (N, S, Q) matches of what ran
+    and ``predictions`` (N, Q), both with re-selection only; scratch: ``candidates`` and ``values``
+    (S, K + CARRIED), see :func:`~amusic_gym.estimation.sic.sums.correct_frame`; ``factors``
+    (F + 2,), see :func:`factors_of`; ``calibration`` (C,), see
+    :mod:`amusic_gym.estimation.calibration`.
     """
 
     batch: Batch
     history: int  # F
     gamma: float
+    ratio: float  # of neighbouring rows' shares of the weight: γ² in Σw² (evidence), γ in Σw (mean)
     evidence: bool  # else the mean
     carry: bool
     calibration: NDArray[np.float64] = array(np.float64, "coefficients")
@@ -72,8 +73,8 @@ class SICState(Table):
     prefix: NDArray[np.float64] = array(np.float64, "routes", "slots", "prefix")
     places: NDArray[np.int32] = array(np.int32, "routes", "slots", "replayed")
     predictions: NDArray[np.int32] = array(np.int32, "routes", "replayed")
+    candidates: NDArray[np.int32] = array(np.int32, "slots", "values", kept=False)
     values: NDArray[np.float64] = array(np.float64, "slots", "values", kept=False)
-    carried: NDArray[np.int32] = array(np.int32, "slots", "carried", kept=False)
 
 
 state_at: Any = reader(SICState)
@@ -104,3 +105,13 @@ def depth_for(references: int, gamma: float) -> int:
     also looks at the rows that wait.
     """
     return DEPTH if references >= LARGE and gamma == 1.0 else 0
+
+
+def factors_of(most: int, evidence: bool) -> NDArray[np.float64]:
+    """(most + 1,) factors that make statistics of the sums of so many rows, where γ = 1.
+
+    To look them up is faster than a root and a division for every candidate.
+    """
+    counts = np.maximum(np.arange(most + 1.0), 1.0)
+    factors: NDArray[np.float64] = 1.0 / (np.sqrt(counts) if evidence else counts)
+    return factors

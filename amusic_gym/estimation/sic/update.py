@@ -1,73 +1,48 @@
-"""One frame of SIC and MuSIC for a batch of routes, compiled (A-MuSIC, III-A and III-B)."""
+"""SIC and MuSIC as the estimator of an environment: one frame of a batch of routes.
+
+SIC corrects each technique that ran (A-MuSIC, III-A; :mod:`amusic_gym.estimation.sic.sums`), MuSIC
+chooses among them (III-B), and p̂ says how likely the place is a true one.
+"""
 
 from __future__ import annotations
 
+import copy
 import math
+from collections.abc import Mapping
+from typing import Any
 
-from amusic_gym.banks.rows import correlation, prepare, scale_at, top_at
+from amusic_gym.banks.rows import correlation, prepared_at
+from amusic_gym.estimation.batch import Batch
+from amusic_gym.estimation.calibration import coefficients
 from amusic_gym.estimation.prediction import (
     choose_technique,
     logit_of,
     predict_only,
     relate,
-    remember,
     set_prediction,
     sigmoid,
 )
-from amusic_gym.estimation.sic.state import LIVE, SICState, state_at
-from amusic_gym.estimation.sic.statistics import (
-    best_candidate,
-    best_rival,
-    candidate_at,
-    ratio_of,
-    score_places,
-    weigh,
+from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.estimation.sic.look_back import look_back
+from amusic_gym.estimation.sic.state import (
+    CARRIED,
+    SLACK,
+    SICState,
+    begin_sums,
+    factors_of,
+    state_at,
 )
-from amusic_gym.estimation.sic.sums import discount_of, push
-from amusic_gym.kernels.compiling import compiled, inner, spliced
+from amusic_gym.estimation.sic.sums import (
+    best_rival,
+    correct_frame,
+    count_runs,
+    score_places,
+    store_result,
+)
+from amusic_gym.kernels.compiling import apart, compiled, inner, spliced
 
 SUPPORT_MEMORY = 0.98
 """Factor per frame on what a technique's last match counts for or against the prediction."""
-
-
-@spliced
-def correct_frame(state: SICState, i: int, s: int, frame: int, own: int, fused: int) -> int:
-    """Run SIC for one technique on a frame; statistics to ``state.values[s]``; winner's rank.
-
-    ``own`` and ``fused`` are the technique's last match and the last prediction, moved on to the
-    frame; −1 where there is none.
-    """
-    batch = state.batch
-    run = batch.runs[i, s]
-    state.carried[s, 0] = own if state.carry else -1
-    state.carried[s, 1] = fused if state.carry else -1
-    if not prepare(run, frame):
-        batch.routes[i].bad_row = 1 + s * batch.routes[i].frames + frame
-    sums, mark = state.sums[LIVE, i, s], state.marks[LIVE, i, s]
-    push(sums, mark, run, batch.ran[i, s], frame, state.history, state.gamma)
-    return best_candidate(state, i, s, frame)
-
-
-@inner
-def store_result(state: SICState, i: int, s: int, frame: int, winner: int) -> None:
-    """Store the outcome of a technique's run in its slot."""
-    slot, values = state.batch.slots[i, s], state.values[s]
-    top, carried = top_at(state.batch.runs[i, s], frame), state.carried[s]
-    slot.last_run = frame
-    slot.place = candidate_at(top, carried, winner)
-    slot.discount = discount_of(state.marks[LIVE, i, s])
-    slot.weight = slot.discount
-    slot.statistic = values[winner]
-    slot.correction = values[winner] - values[0]
-    slot.rival = best_rival(values, top, carried, slot.place, state.batch.routes[i].tolerance)
-    slot.margin = slot.statistic - slot.rival if slot.rival > -math.inf else 0.0
-
-
-@inner
-def weigh_runs(state: SICState, i: int, s: int, frame: int) -> None:
-    """Extend what weights are made of by a frame."""
-    ratio, ran = ratio_of(state.gamma, state.evidence), state.batch.ran[i, s]
-    weigh(state.counts[i, s], state.prefix[i, s], ran, frame, frame + 1, ratio)
 
 
 @spliced
@@ -77,7 +52,7 @@ def correct_techniques(state: SICState, i: int, frame: int) -> None:
     for s in range(batch.slots[i].size):
         slot = batch.slots[i, s]
         if slot.present:
-            weigh_runs(state, i, s, frame)
+            count_runs(state, i, s, frame, frame + 1)
         if slot.ran:
             own = slot.place + frame - slot.last_run if slot.last_run >= 0 else -1
             prediction = batch.routes[i].prediction
@@ -88,7 +63,7 @@ def correct_techniques(state: SICState, i: int, frame: int) -> None:
                 state.places[i, s, frame] = slot.place
 
 
-@inner
+@apart
 def weigh_others(state: SICState, i: int, frame: int) -> None:
     """Weigh what the techniques that were not chosen say of the prediction.
 
@@ -107,7 +82,7 @@ def weigh_others(state: SICState, i: int, frame: int) -> None:
         if slot.ran:
             one, other = state.batch.runs[i, chosen], state.batch.runs[i, s]
             slot.likeness = correlation(one, frame, other, frame, 0)
-            if scale_at(one, frame)[0] == 0.0 or scale_at(other, frame)[0] == 0.0:
+            if prepared_at(one, frame).scale == 0.0 or prepared_at(other, frame).scale == 0.0:
                 slot.likeness = 1.0  # a constant row says nothing
         age = frame - slot.last_run
         weight = (1.0 - min(max(slot.likeness, 0.0), 1.0)) * SUPPORT_MEMORY**age
@@ -132,8 +107,7 @@ def fuse(state: SICState, i: int, frame: int) -> bool:
             continue
         best = slots[s].rival
         if slots[s].place != place:  # else it is that of the technique itself
-            top = top_at(state.batch.runs[i, s], frame)
-            best = best_rival(state.values[s], top, state.carried[s], place, route.tolerance)
+            best = best_rival(state, i, s, place)
         rival = max(rival, best * slots[s].discount)
     set_prediction(route, place)
     route.confidence = slots[chosen].statistic
@@ -153,10 +127,9 @@ def store_fused(state: SICState, i: int, frame: int) -> None:
             place = route.prediction - (frame - slot.last_run)
             slot.stored = 0.0
             if place >= 0:
-                carried, values = state.carried[s], state.values[s]
-                carried[0] = place
-                score_places(state, i, s, slot.last_run, carried, 1, values)
-                slot.stored = values[0]
+                places, values = state.candidates[s], state.values[s]
+                places[0] = place
+                slot.stored = score_places(state, i, s, slot.last_run, places, 1, values)
 
 
 @inner
@@ -198,17 +171,98 @@ def update_routes(address: int) -> None:
                 estimate_correctness(state, i, has_rival)
             if batch.block:
                 state.predictions[i, frame] = route.prediction
-            remember(route)
             route.frame = frame
 
 
 @compiled
-def weigh_frame(address: int, frame: int) -> None:
-    """Extend what weights are made of by a frame of a batch of one technique."""
-    weigh_runs(state_at(address), 0, 0, frame)
+def count_frame(address: int, frame: int) -> None:
+    """Count the runs of a frame of a batch of one technique (:class:`SIC`)."""
+    count_runs(state_at(address), 0, 0, frame, frame + 1)
 
 
 @compiled
 def correct_one(address: int, frame: int, own: int, fused: int) -> int:
     """As :func:`correct_frame`, of a batch of one technique (:class:`SIC`)."""
     return correct_frame(state_at(address), 0, 0, frame, own, fused)
+
+
+class SICEstimator:
+    """See :class:`~amusic_gym.estimation.estimator.Estimator`.
+
+    Args:
+        settings: statistic, K, F and γ.
+        block: M, 0 without re-selection.
+        threads: not used: a frame is too short to share.
+
+    Attributes:
+        address: of the words that the kernels read.
+    """
+
+    state: SICState
+
+    def __init__(self, settings: SICSettings, *, block: int, threads: int = 1) -> None:
+        self.settings = settings
+        self._block = block
+
+    def allocate(self, batch: Batch, sizes: Mapping[str, int]) -> None:
+        """Make room."""
+        settings, evidence = self.settings, self.settings.statistic == "evidence"
+        factors = factors_of(min(settings.history, sizes["references"]) + 1, evidence)
+        calibration = coefficients(settings.statistic).copy()
+        sizes = {
+            **sizes,
+            "coefficients": len(calibration),
+            "factors": len(factors),
+            "sets": 2 if self._block else 1,
+            "sums": sizes["references"] + SLACK,
+            "counts": sizes["frames"] + 1,
+            "prefix": 0 if settings.gamma == 1.0 else sizes["frames"] + 1,
+            "replayed": sizes["frames"] if self._block else 0,
+            "values": sizes["candidates"] + CARRIED,
+        }
+        given = {"batch": batch, "factors": factors, "calibration": calibration}
+        if hasattr(self, "state"):
+            self.state = self.state.grown(sizes, **given)
+        else:
+            self.state = SICState(
+                sizes,
+                history=settings.history,
+                gamma=settings.gamma,
+                ratio=settings.gamma * settings.gamma if evidence else settings.gamma,
+                evidence=evidence,
+                carry=settings.carry,
+                **given,
+            )
+        self.link(batch)
+
+    def begin(self, i: int, references: int) -> None:
+        """Forget route ``i``."""
+        state = self.state
+        for array in (state.sums[:, i], state.counts[i], state.prefix[i]):
+            array.fill(0)
+        begin_sums(state.marks[:, i], references, state.sums.shape[-1], self.settings)
+
+    def update(self) -> None:
+        """Take the next frame of every active route."""
+        update_routes(self.address)
+
+    def look_back(self) -> None:
+        """Run all techniques on the last block of the routes that want it."""
+        look_back(self.address)
+
+    def link(self, batch: Batch) -> None:
+        """Write the addresses of all arrays anew."""
+        self.state.batch = batch
+        self._words = self.state.write()
+        self.address: int = self._words.ctypes.data
+
+    def repeated(self, batch: Batch, copies: int) -> SICEstimator:
+        """For a batch in which every route stands ``copies`` times in a row."""
+        twin = copy.copy(self)
+        twin.state = self.state.repeated(copies, batch=batch)
+        twin.link(batch)
+        return twin
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the addresses, which :meth:`link` writes again."""
+        return {k: v for k, v in self.__dict__.items() if k not in ("_words", "address")}
