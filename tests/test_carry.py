@@ -16,7 +16,7 @@ from live_cases import NAMES, Stream, bank_of, live_of, maps_of, pair, traverse
 from selection_cases import assert_details, assert_route, follow
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.envs import episode, live_rows
+from amusic_gym.envs import live_rows, memory
 from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.estimation.prediction import IDLE_DECAY
@@ -285,7 +285,7 @@ def test_a_live_route_whose_rows_wait_to_be_added_gives_what_its_bank_gives(monk
 
 
 def test_what_is_carried_outlives_the_growing_room_of_an_endless_route(monkeypatch):
-    monkeypatch.setattr(episode, "ROOM", 4)
+    monkeypatch.setattr(memory, "ROOM", 4)
     maps, images = maps_of(40), traverse(60, seed=2)
     arguments = {"reselection": 3, "candidates": 2, "allow_idle": True}
     for seed in range(6):

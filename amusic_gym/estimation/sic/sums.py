@@ -117,7 +117,7 @@ def note_serial(mark: SumsState, run: Run, frame: int) -> None:
     mark.serial_rows = SERIAL_MEMORY * mark.serial_rows + 1.0
 
 
-@apart
+@inner
 def push(state: SICState, which: int, i: int, s: int, frame: int) -> None:
     """Add the row of ``frame`` to a technique's sums and let rows older than F frames go.
 
@@ -216,14 +216,14 @@ def score_places(
         i: the route.
         s: the slot.
         frame: the last frame on which the technique ran.
-        places: (≥ size,); −∞ for one that is not on the map.
+        places: (≥ size,) of the map.
         size: how many of them.
         out: (≥ size,).
     """
     run, mark = state.batch.runs[i, s], state.marks[LIVE, i, s]
     window = state.sums[LIVE, i, s][mark.origin - frame :]
     counts, prefix, factors = state.counts[i, s], state.prefix[i, s], state.factors
-    references, evidence, ratio = run.references, state.evidence, state.ratio
+    evidence, ratio = state.evidence, state.ratio
     reach = min(state.history, frame)
     waits = mark.waiting + mark.leaving > 0
     every = frame - reach >= mark.since  # it ran on all frames that count
@@ -231,9 +231,6 @@ def score_places(
     best = -math.inf
     for k in range(size):
         place = places[k]
-        if place < 0 or place >= references:
-            out[k] = -math.inf
-            continue
         span = min(reach, place)
         total = window[np.uintp(place)]  # unsigned: no check for a negative index
         if waits:
@@ -279,7 +276,11 @@ def correct_frame(state: SICState, i: int, s: int, frame: int, own: int, fused: 
         places[k] = top[k]
     places[top.size] = own if state.carry else -1
     places[top.size + 1] = fused if state.carry else -1
-    best = score_places(state, i, s, frame, places, size, values)
+    best = score_places(state, i, s, frame, places, top.size, values)
+    for k in range(top.size, size):
+        values[k] = -math.inf
+        if 0 <= places[k] < run.references:
+            best = max(best, score_places(state, i, s, frame, places[k:], 1, values[k:]))
     row = row_at(run, frame)
     if prepared_at(run, frame).state == MASKED and row[top[0]] != -math.inf:
         best = -math.inf
