@@ -55,11 +55,7 @@ QUICK = Sizes(
 
 
 class Material:
-    """The bank that everything runs on. Route i begins at query i, on rows of its own.
-
-    Args:
-        sizes: of what is measured.
-    """
+    """The bank that everything runs on. Route i begins at query i, on rows of its own."""
 
     def __init__(self, sizes: Sizes) -> None:
         self.sizes = sizes

@@ -50,12 +50,7 @@ print(time.perf_counter() - start)
 
 
 def seconds_of(statistic: str, cache: Path) -> float:
-    """Seconds of the first reset and step in a process of its own; "": of the import.
-
-    Args:
-        statistic: of the environment.
-        cache: folder of the compiled code.
-    """
+    """Seconds of the first reset and step in a process of its own; "": of the import."""
     paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM.format(statistic=statistic)],

@@ -24,6 +24,9 @@ RATES = (0.1, 0.3, 0.6, 1.0)
 BINS = 10
 """Of the calibration error and of the figure."""
 
+SURE = 0.9
+"""A place of this p̂ or more is one that somebody may act on."""
+
 TRACED = ("confidence", "similarity", "p_correct", "ran")
 RECORDED, RETIMED = "as recorded", "re-timed"
 POOLED = "pooled"
@@ -81,9 +84,6 @@ def _drive(bank: ScoreBank, name: str, timing: str, statistic: str, seed: int) -
 def held_against_truth(banks: Sequence[Sequence[Drive]]) -> dict[str, Any]:
     """What the drives show, per bank and pooled, as recorded and re-timed.
 
-    Args:
-        banks: the drives of each bank, all with the same timings.
-
     Returns:
         ``{"fused": [...], "techniques": [...], "reliability": {timing: ...}}``, plain values that
         ``json.dump`` takes; the reliability is that of all banks, None in empty bins.
@@ -109,6 +109,8 @@ def _by_timing(drives: Sequence[Drive]) -> dict[str, list[Drive]]:
 def _fused(drives: Sequence[Drive]) -> Row:
     traces = [drive.trace for drive in drives]
     correct, estimate = held(*traces)
+    sure = estimate >= SURE
+    away = ~np.concatenate([trace.has_place for trace in traces])
     measured = audit(*traces, bins=BINS)
     assert measured is not None  # every drive gives p̂
     return {
@@ -116,6 +118,8 @@ def _fused(drives: Sequence[Drive]) -> Row:
         "frames": int(correct.size),
         **measured._asdict(),
         "brier": metrics.brier(correct, estimate),
+        "right_of_sure": float(correct[sure].mean()) if sure.any() else None,
+        "sure_of_away": float(sure[away].mean()) if away.any() else None,
     }
 
 
@@ -141,7 +145,9 @@ def _curve(drives: Sequence[Drive]) -> dict[str, list[Any]]:
 def tables(report: dict[str, Any]) -> list[Table]:
     """The report of :func:`held_against_truth` as tables."""
     names = ("frames", "accuracy", "p_correct", "auroc", "calibration_error", "brier")
+    names += ("right_of_sure", "sure_of_away")
     heads = ("right", "mean p̂", "AUROC", f"calibration error, {BINS} bins", "Brier")
+    heads += (f"right where p̂ ≥ {SURE}", f"p̂ ≥ {SURE} where no place is true")
     fused = [
         [row["bank"], row["timing"], *(_cell(row[name]) for name in names)]
         for row in report["fused"]

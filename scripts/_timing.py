@@ -16,18 +16,12 @@ def one_thread() -> None:
 
 
 class Side(NamedTuple):
-    """One of two things to compare.
+    """One of two things to compare."""
 
-    Attributes:
-        name: what is timed, for the table.
-        work: the timed call.
-        units: units of work (steps, corrections, bytes) of one call.
-        prepare: brings the state back before every call; not timed.
-    """
-
-    name: str
-    work: Callable[[], object]
-    units: float
+    name: str  # what is timed, for the table
+    work: Callable[[], object]  # the timed call
+    units: float  # units of work (steps, corrections, bytes) of one call
+    # brings the state back before every call; not timed
     prepare: Callable[[], object] = lambda: None
 
 

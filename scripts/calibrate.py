@@ -24,9 +24,8 @@ from amusic_gym.estimation.calibration import (
     UNCALIBRATED,
     belief_design,
     design,
-    fit,
     fit_product,
-    recent_design,
+    map_design,
     stored,
 )
 from amusic_gym.estimation.settings import STATISTICS
@@ -34,11 +33,11 @@ from amusic_gym.routes.simulate import population
 from amusic_gym.utils.storage import write_whole
 
 RATES = (0.05, 0.1, 0.3, 0.6, 1.0)  # shares of the techniques that run on a frame
-SIC_INPUTS = ("confidence", "discount", "track", "recent", "heard", "support", "margin")
-BELIEF_INPUTS = ("confidence", "margin", "log_likelihood", "log_likelihood_mean")
+SIC_INPUTS = ("confidence", "discount", "track", "on_map", "heard", "support", "margin")
+BELIEF_INPUTS = ("confidence", "margin", "log_likelihood", "log_likelihood_mean", "on_map")
 
-LEAVES = 0.12
-"""Share of SIC's routes that leave the map.
+LEAVES = 0.18
+"""Share of the routes that leave the map.
 
 A place that is carried on while nothing confirms it may be right, at night, or wrong, off the map:
 the more routes leave it, the less is believed of either.
@@ -52,7 +51,7 @@ def collect(banks: list[ScoreBank], statistic: str, candidates: int, act: Action
     """What p̂ is made of, and correctness, of every frame of the banks under some activity.
 
     Returns:
-        (n, 7) ``SIC_INPUTS``, or for the belief (n, 4) ``BELIEF_INPUTS``. And (n,) bool.
+        (n, 7) ``SIC_INPUTS``, or for the belief (n, 5) ``BELIEF_INPUTS``. And (n,) bool.
     """
     slots = max(len(bank.techniques) for bank in banks)
     env = TechniqueSelectionVectorEnv(
@@ -80,10 +79,14 @@ def sic_fit(samples: Samples, *, rival: bool) -> list[float]:
     """Coefficients of SIC's logit from the frames on which the winner has a rival, or has none."""
     inputs, correct = samples
     wanted = (inputs[:, -1] != 0.0) == rival
-    confidence, discount, tens, recent, *others = inputs[wanted].T
+    confidence, discount, tens, on_map, *others = inputs[wanted].T
     drive = design(confidence * discount, 10.0 * tens, tuple(others) if rival else None)
-    made = fit_product(drive, recent_design(recent), correct[wanted])
-    found: list[float] = np.round(made, 4).tolist()
+    return rounded(fit_product(drive, map_design(on_map), correct[wanted]))
+
+
+def rounded(coefficients: NDArray[np.float64]) -> list[float]:
+    """As the package's file has them."""
+    found: list[float] = np.round(coefficients, 4).tolist()
     return found
 
 
@@ -106,7 +109,9 @@ def calibrate(banks: list[ScoreBank], statistic: str, seed: int) -> dict[str, li
     ]
     inputs, correct = (np.concatenate(part) for part in zip(*drives, strict=True))
     if statistic == "belief":
-        return {"place": np.round(fit(belief_design(*inputs.T), correct), 4).tolist()}
+        *drive, on_map = inputs.T
+        made = fit_product(belief_design(*drive), map_design(on_map), correct)
+        return {"place": rounded(made)}
     lonely = collect(banks, statistic, 1, lambda: single)
     return {
         "rival": sic_fit((inputs, correct), rival=True),
@@ -134,9 +139,7 @@ def main(arguments: list[str] | None = None) -> None:
     table["coefficients"] |= stored()["coefficients"]
     for statistic in given.statistic:
         seeds = [[given.seed, i] for i in range(given.routes)]
-        routes = population(statistic)
-        if statistic != "belief":
-            routes = replace(routes, leaves=LEAVES)
+        routes = replace(population(statistic), leaves=LEAVES)
         banks = [routes.route(np.random.default_rng(seed)) for seed in seeds]
         table["coefficients"][statistic] = calibrate(banks, statistic, given.seed)
         print(statistic, table["coefficients"][statistic])

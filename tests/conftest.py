@@ -6,7 +6,7 @@ import os
 import runpy
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -90,3 +90,19 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
         folder, {"versions": run_folder.versions("evidence"), "environment": {}}
     )
     return folder
+
+
+@pytest.fixture
+def two_ray_workers() -> Iterator[None]:
+    """A Ray cluster of two workers on this machine, which executors find."""
+    ray = pytest.importorskip("ray", reason='pip install "amusic-gym[ray]"')
+    ray.init(
+        address="local",
+        num_cpus=2,
+        include_dashboard=False,
+        log_to_driver=False,
+        logging_level="ERROR",
+        object_store_memory=80_000_000,
+    )
+    yield
+    ray.shutdown()

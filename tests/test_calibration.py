@@ -39,10 +39,10 @@ def log_odds(share: float) -> float:
 @pytest.mark.parametrize("statistic", STATISTICS)
 def test_coefficients_that_ship_are_as_many_as_the_formula_has(statistic):
     shipped = calibration.coefficients(statistic)
-    assert shipped.shape == ((5,) if statistic == "belief" else (13,))
+    assert shipped.shape == ((7,) if statistic == "belief" else (13,))
     assert np.isfinite(shipped).all()
-    surer = [1] if statistic == "belief" else [2, 4, 5, 7, 9, 10, 12]
-    assert (shipped[surer] > 0.0).all()  # track, support, margin, recent; statistic, track, recent
+    surer = [1, 6] if statistic == "belief" else [2, 4, 5, 7, 9, 10, 12]
+    assert (shipped[surer] > 0.0).all()  # track, support, margin, on the map; ...
 
 
 def test_the_estimate_of_the_belief_is_the_documented_one(bank):
@@ -62,10 +62,13 @@ def test_the_estimate_of_the_belief_is_the_documented_one(bank):
         assert info["margin"] == pytest.approx(ratio)
         logit = b[0] + b[1] * log_odds(belief["share"]) + b[2] * ratio
         logit += b[3] * said + b[4] * said_mean
-        assert info["confidence"] == pytest.approx(logit)
-        assert info["p_correct"] == pytest.approx(1.0 / (1.0 + math.exp(-logit)))
+        on_map = env.task.episodes.state.routes[0]["on_map"]
+        p = 1.0 / (1.0 + math.exp(-logit)) / (1.0 + math.exp(-b[5] - b[6] * on_map))
+        assert info["p_correct"] == pytest.approx(p)
+        assert info["confidence"] == pytest.approx(log_odds(p))
         inputs = calibration.belief_design(log_odds(belief["share"]), ratio, said, said_mean)
-        assert calibration.logistic(inputs @ b) == pytest.approx(info["p_correct"])
+        both = [inputs @ b[:5], *(calibration.map_design([on_map]) @ b[5:])]
+        assert calibration.logistic(np.array(both)).prod() == pytest.approx(p)
         seen.add(round(info["p_correct"], 6))
     assert len(seen) > 20
 
@@ -88,7 +91,7 @@ def test_the_estimate_of_sic_is_the_documented_one(bank, statistic, carry):
             known = env.task.episodes.state
             route = known.routes[0]
             statistic_ = info["confidence"] * known.slots[0]["discount"][info["technique"]]
-            s, t, r = math.asinh(statistic_), math.log(1 + track), math.asinh(route["recent"])
+            s, t, r = math.asinh(statistic_), math.log(1 + track), route["on_map"]
             if rival:
                 h, u, m = route["heard"], route["support"], math.asinh(info["margin"])
                 assert 0.0 <= u <= h <= 1.0
@@ -101,7 +104,7 @@ def test_the_estimate_of_sic_is_the_documented_one(bank, statistic, carry):
                 inputs, part = calibration.design([statistic_], [track], None), b[8:]
             expected = 1.0 / (1.0 + math.exp(-drive)) / (1.0 + math.exp(-late))
             assert info["p_correct"] == pytest.approx(expected)
-            both = [inputs @ part[:-2], calibration.recent_design([route["recent"]]) @ part[-2:]]
+            both = [inputs @ part[:-2], calibration.map_design([route["on_map"]]) @ part[-2:]]
             assert calibration.logistic(np.array(both)).prod() == pytest.approx(expected)
             seen.add((rival, round(info["p_correct"], 6)))
     assert min(sum(one[0] == rival for one in seen) for rival in (True, False)) >= 5
@@ -209,13 +212,13 @@ def test_samples_are_those_of_single_routes_before_calibration(script, statistic
             info = env.step(np.ones(len(bank.techniques)))[4]
             known = env.task.episodes.state.routes[0]
             discount = env.task.episodes.state.slots[0]["discount"][info["technique"]]
-            sample = [info["confidence"], discount, known["track"], known["recent"]]
+            sample = [info["confidence"], discount, known["track"], known["on_map"]]
             sample += [known["heard"], known["support"], info["margin"]]
             if statistic == "belief":
                 belief = env.task.episodes.estimator.state.beliefs[0, 0]
                 share = log_odds(belief["share"])
                 sample = [share, info["margin"], known["log_likelihood"]]
-                sample += [known["log_likelihood_mean"]]
+                sample += [known["log_likelihood_mean"], known["on_map"]]
             samples.append(sample)
             right.append((frame, len(expected), abs(info["prediction"] - frame) <= 2))
         expected.append(samples)
@@ -229,16 +232,16 @@ def test_samples_are_those_of_single_routes_before_calibration(script, statistic
 def test_script_fits_frames_with_a_rival_and_those_without_apart(script):
     rng = np.random.default_rng(4)
     inputs = rng.uniform(0.0, 2.0, (60_000, 7))  # in the order of SIC_INPUTS
-    names = ("confidence", "discount", "track", "recent", "heard", "support", "margin")
+    names = ("confidence", "discount", "track", "on_map", "heard", "support", "margin")
     assert names == script.SIC_INPUTS
     lonely = rng.random(len(inputs)) < 0.5
     inputs[lonely, 6] = 0.0  # no rival, no margin
     wanted, alone, late = [-1.0, 0.5, 0.3, -0.6, 0.8, 0.7], [-1.5, 0.9, 0.4], [-0.5, 2.0]
-    confidence, discount, tens, recent, heard, support, margin = inputs.T
+    confidence, discount, tens, on_map, heard, support, margin = inputs.T
     s, t = np.arcsinh(confidence * discount), np.log(1 + 10 * tens)
     columns = [np.ones_like(s), s, t, heard, support, np.arcsinh(margin)]
     logits = np.where(lonely, alone @ np.stack(columns[:3]), wanted @ np.stack(columns))
-    p = calibration.logistic(logits) * calibration.logistic(late[0] + late[1] * np.arcsinh(recent))
+    p = calibration.logistic(logits) * calibration.logistic(late[0] + late[1] * on_map)
     samples = (inputs, rng.random(len(inputs)) < p)
     np.testing.assert_allclose(script.sic_fit(samples, rival=True), wanted + late, atol=0.4)
     np.testing.assert_allclose(script.sic_fit(samples, rival=False), alone + late, atol=0.4)

@@ -166,6 +166,8 @@ def test_random_activity_per_bank_and_pooled(script):
     assert a["auroc"] == 3 / 4  # 0.8 above 0.4 and 0.68, 0.62 above 0.4 only
     assert a["brier"] == pytest.approx((0.04 + 0.16 + 0.38**2 + 0.68**2) / 4)
     assert a["calibration_error"] == pytest.approx((0.2 + 0.4 + 2 * 0.15) / 4)  # two in a bin
+    assert (a["right_of_sure"], a["sure_of_away"]) == (None, None)  # 0.8 is not sure
+    assert fused["b", "as recorded"]["right_of_sure"] == 1.0
     assert fused["a", "re-timed"]["auroc"] is None
     pooled = fused["pooled", "re-timed"]
     assert (pooled["drives"], pooled["frames"], pooled["auroc"]) == (2, 3, 1.0)
@@ -175,6 +177,25 @@ def test_random_activity_per_bank_and_pooled(script):
     assert curve["predicted"][:3] == [None, 0.1, 0.2]
     assert curve["observed"][9] == 1.0
     assert json.loads(json.dumps(report, allow_nan=False)) == report
+
+
+def test_being_sure_where_no_place_is_true_has_a_column_of_its_own(script):
+    module, truth = script("_random_activity"), np.eye(4, 9, dtype=bool)
+    truth[2:] = False
+    bank = ScoreBank(np.zeros((1, 4, 9)), ["A"], [1.0], tolerance=0, ground_truth=truth)
+    trace = Trace.join(
+        bank,
+        predictions=np.arange(4),
+        confidence=np.zeros(4),
+        similarity=np.zeros(4),
+        ran=np.ones((4, 1), bool),
+        p_correct=[0.95, 0.5, 0.9, 0.2],
+        policy="music",
+        statistic="evidence",
+    )
+    drive = module.Drive("a", "as recorded", trace, np.ones((4, 1), bool), np.zeros((4, 1)))
+    (row, _) = module.held_against_truth([[drive]])["fused"]
+    assert (row["right_of_sure"], row["sure_of_away"]) == (0.5, 0.5)
 
 
 def test_techniques_count_where_they_ran(script):
@@ -193,7 +214,7 @@ def test_tables_of_random_activity_are_markdown(script):
     report = module.held_against_truth(two_timings(script))
     fused, own = (table.markdown().splitlines() for table in module.tables(report))
     assert "| bank | drive | frames | right | mean p̂ | AUROC |" in fused[2]
-    assert fused[4] == "| a | as recorded | 4 | 0.500 | 0.625 | 0.750 | 0.225 | 0.202 |"
+    assert fused[4] == "| a | as recorded | 4 | 0.500 | 0.625 | 0.750 | 0.225 | 0.202 | - | - |"
     assert fused[5].startswith("| a | re-timed | 2 | 0.000 | 0.150 | - |")
     assert fused[8].startswith("| pooled | as recorded | 5 |")
     assert own[4] == "| a | as recorded | A | 3 | 2 | 0.500 |"

@@ -121,7 +121,7 @@ def test_a_technique_that_workers_do_not_find_is_refused(monkeypatch):
     assert pickle.dumps(technique)
     with (
         Processes(1).workers(technique) as workers,
-        pytest.raises(ValueError, match="cannot load the technique .* executor 'serial'"),
+        pytest.raises(ValueError, match="cannot load what it is to hold .* executor 'serial'"),
     ):
         list(workers.run([Shard(1)]))
 

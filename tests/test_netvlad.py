@@ -18,7 +18,6 @@ from torch import nn
 from amusic_gym.techniques import make_technique, netvlad_weights
 from amusic_gym.techniques.netvlad import NetVLAD
 from amusic_gym.techniques.networks import (
-    VGG16_STAGES,
     NetVLADNetwork,
     NetVLADWidths,
     conv_layers,
@@ -162,12 +161,13 @@ def test_layer_by_layer(tmp_path):
 
 
 def test_the_backbone_is_numbered_as_vgg16():
+    channels = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
     with torch.device("meta"):
-        layers = conv_layers(VGG16_STAGES)
+        layers = conv_layers(channels)
     convolutions = [i for i, layer in enumerate(layers) if isinstance(layer, nn.Conv2d)]
     stages = netvlad_weights.VGG16_LAYERS
     assert convolutions == [i for stage in stages for i in stage]
-    assert [len(stage) for stage in stages] == [len(stage) for stage in VGG16_STAGES]
+    assert [len(stage) for stage in stages] == [len(stage) for stage in channels]
     assert sum(isinstance(layer, nn.MaxPool2d) for layer in layers) == 4
     assert layers[-1].weight.shape == (512, 512, 3, 3)
 

@@ -10,6 +10,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import cv2
 import numpy as np
 import pytest
+from rtsp_camera import RtspCamera
 
 from amusic_gym.routes import network_camera
 from amusic_gym.routes.network_camera import NetworkCamera
@@ -17,6 +18,8 @@ from amusic_gym.routes.network_camera import NetworkCamera
 
 class Mjpeg:
     """A camera that shows its pictures' numbers as brightness, over and over, until it stops."""
+
+    scheme = "http"
 
     def __init__(self, port: int = 0) -> None:
         self.stopped = threading.Event()
@@ -70,9 +73,10 @@ def read_until(camera, is_enough):
     return found
 
 
-def test_pictures_come_newest_first_and_go_on_when_the_camera_is_back():
-    server = Mjpeg()
-    camera = NetworkCamera(f"http://user:secret@127.0.0.1:{server.port}/cam")
+@pytest.mark.parametrize("kind", [Mjpeg, RtspCamera])
+def test_pictures_come_newest_first_and_go_on_when_the_camera_is_back(kind):
+    server = kind()
+    camera = NetworkCamera(f"{kind.scheme}://user:secret@127.0.0.1:{server.port}/cam")
     try:
         assert camera.name == "127.0.0.1/cam"
         first = camera.read(0)
@@ -81,7 +85,7 @@ def test_pictures_come_newest_first_and_go_on_when_the_camera_is_back():
         time.sleep(0.5)  # a technique runs meanwhile
         assert int(camera.read(1).mean()) >= int(first.mean()) + 10
         server.stop()
-        back = threading.Timer(1.0, lambda: setattr(camera, "again", Mjpeg(server.port)))
+        back = threading.Timer(1.0, lambda: setattr(camera, "again", kind(server.port)))
         back.start()
         with pytest.warns(UserWarning, match="camera 127.0.0.1/cam gives no picture"):
             given = read_until(camera, lambda image: hasattr(camera, "again"))

@@ -37,7 +37,7 @@ def test_layout_is_the_documented_one(bank):
     assert TechniqueSelectionEnv(bank).reset(seed=0)[0].shape == (len(names),)
     assert names[0] == "T0.present"
     assert names[len(TECHNIQUE_FEATURES)] == "T1.present"
-    assert names[-1] == "route.supported"
+    assert names[-1] == "route.on_map"
 
 
 def squash(value: float) -> float:
@@ -58,6 +58,7 @@ class Observer:
         self.exists = np.zeros((bank.queries, self.width), bool)
         self.slots: list[dict] = [defaultdict(float, last=-1) for _ in range(self.width)]
         self.route: dict = defaultdict(float, prediction=-1)
+        self.on_map = oracle.OnMap(self.z, bank.tolerance)
 
     def look_back(self, frame: int) -> None:
         """Run everything on the block before a frame."""
@@ -117,6 +118,7 @@ class Observer:
         route["compute"] = info["seconds"] / self.bank.seconds.sum()
         route["compute_mean"] += SMOOTHING * (route["compute"] - route["compute_mean"])
         self.relate(frame, info)
+        self.on_map.note(frame, np.flatnonzero(info["ran"]).tolist(), info["prediction"])
 
     def continues(self, before: int, info: dict) -> bool:
         """Whether the prediction moved on by one place; idle ones do, up to the map's end."""
@@ -204,6 +206,7 @@ class Observer:
             squash(route["since_confirmed"]),
             squash(route["track"]),
             route["supported"],
+            1 / (1 + math.exp(-self.on_map.log_odds)),
         ]
 
     def logit(self, info: dict) -> float:

@@ -306,7 +306,7 @@ def test_28_two_writers_and_no_torn_read(tmp_path):
 
 def test_32_without_ray_the_command_that_installs_it(folder, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(ValueError, match=r'needs Ray: pip install "amusic-gym\[ray\]"'):
+    with pytest.raises(ValueError, match=r'needs Ray; install it: pip install "amusic-gym\[ray\]"'):
         run(folder, tmp_path, executor="ray")
 
 
@@ -388,21 +388,6 @@ def kill_one_worker(folder, serial, place, executor):
 
 def test_37_a_killed_process_gives_the_same_bytes(folder, serial, tmp_path):
     kill_one_worker(folder, serial, tmp_path, "process:2")
-
-
-@pytest.fixture
-def two_ray_workers():
-    ray = pytest.importorskip("ray")
-    ray.init(
-        address="local",
-        num_cpus=2,
-        include_dashboard=False,
-        log_to_driver=False,
-        logging_level="ERROR",
-        object_store_memory=80_000_000,
-    )
-    yield
-    ray.shutdown()
 
 
 @pytest.mark.usefixtures("two_ray_workers")

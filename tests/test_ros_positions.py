@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import builtins
 import math
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -118,13 +118,6 @@ def test_what_is_no_bag_is_refused(tmp_path):
 
 
 def test_32_without_rosbags_the_refusal_names_the_command(tmp_path, monkeypatch):
-    real = builtins.__import__
-
-    def without(name, *args, **kwargs):
-        if name.startswith("rosbags"):
-            raise ImportError(name)
-        return real(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     with pytest.raises(ValueError, match=r'pip install "amusic-gym\[ros\]"'):
         read_track(tmp_path / "a.bag")

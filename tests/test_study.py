@@ -15,7 +15,16 @@ import pytest
 from amusic_baselines import make_policy, subset
 from env_cases import random_bank
 from script_cases import run_and_stop
-from study_cases import EVERYBODY, FIXED, WEIGHTS, banks, entrant, learned, plan_of
+from study_cases import (
+    EVERYBODY,
+    FIXED,
+    WEIGHTS,
+    banks,
+    entrant,
+    learned,
+    make_killer,
+    plan_of,
+)
 
 from amusic_gym.evaluation import store, study
 from amusic_gym.evaluation.audit import audit
@@ -179,15 +188,34 @@ def test_a_seed_of_a_policy_that_draws_is_its_own(whole):
     assert len(set(drawn)) == 2
 
 
-@pytest.mark.parametrize("executor", ["process:2"])
-def test_numbers_do_not_depend_on_the_executor(whole, tmp_path, executor):
+def files_of(out: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in (out / "cells").iterdir()}
+
+
+def test_numbers_do_not_depend_on_the_executor(whole, tmp_path):
     said: list[str] = []
-    finished = study.run(whole.plan, tmp_path, executor=executor, report=said.append)
+    finished = study.run(whole.plan, tmp_path, executor="process:2", report=said.append)
     assert finished == whole.finished
     assert len(said) == len(whole.plan.cells)
-    ours, theirs = (sorted((out / "cells").iterdir()) for out in (tmp_path, whole.out))
-    assert [path.name for path in ours] == [path.name for path in theirs]
-    assert all(a.read_bytes() == b.read_bytes() for a, b in zip(ours, theirs, strict=True))
+    assert files_of(tmp_path) == files_of(whole.out)
+
+
+def killing(marker: Path) -> study.Plan:
+    """A study of which one cell kills its worker, once; where the marker is, none does."""
+    made = Contestant("killer", partial(make_killer, marker), WEIGHTS)
+    return plan_of([FIXED[0], Entrant("killer", "learned", (made,))])
+
+
+@pytest.mark.usefixtures("two_ray_workers")
+def test_37_a_killed_ray_worker_changes_no_cell(tmp_path):
+    (tmp_path / "done").touch()
+    serial = study.run(killing(tmp_path / "done"), tmp_path / "serial", report=str)
+    said: list[str] = []
+    plan = killing(tmp_path / "marker")
+    assert study.run(plan, tmp_path / "ray", executor="ray", report=said.append) == serial
+    assert (tmp_path / "marker").exists()
+    assert len(said) == len(plan.cells)
+    assert files_of(tmp_path / "ray") == files_of(tmp_path / "serial")
 
 
 def test_lines_of_progress_count_all_cells(whole):

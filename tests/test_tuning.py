@@ -16,7 +16,7 @@ from amusic_agents.run_folder import CONFIG, stored_config
 from amusic_agents.training import train
 from amusic_agents.tuning import BEST, JOURNAL, SPACES, TRIALS, Range, Study, check_space, tune
 from env_cases import random_bank
-from small_training import SMALL, Quick, small, stop_at
+from small_training import SMALL, Quick, contents, learn_and_die_once, small, stop_at
 
 from amusic_gym.cli.tune import as_space
 
@@ -30,9 +30,11 @@ class Landscape:
 
     def __init__(self, stop: tuple[int, int] | None = None) -> None:
         self.stop = stop  # training and evaluation at which Ctrl-C comes
+        self.bars: list[bool] = []
         self.trained: list[tuple[Path, TrainingConfig, bool, int]] = []
 
-    def __call__(self, banks):
+    def __call__(self, banks, progress):
+        self.bars.append(progress)
         return self.learn
 
     def learn(self, out, config, resume, evaluated):
@@ -120,6 +122,48 @@ def test_an_interrupted_study_goes_on_with_the_trial_it_was_in(tmp_path):
     assert (tmp_path / JOURNAL).read_bytes() == before
 
 
+def test_trials_of_a_round_know_nothing_of_each_other(tmp_path):
+    land, config = Landscape(), training_config("ppo", seed=1)
+    tune(tmp_path, config, trials=8, at_once=3, space=SPACE, learn=land, report=str)
+    assert len(land.trained) == 8  # the last round is of two
+    scores = [list(trial.intermediate_values.values()) for trial in Study(tmp_path).study.trials]
+    states = [state for state, _ in settings(tmp_path)]
+    for number, (state, mine) in enumerate(zip(states, scores, strict=True)):
+        before = [
+            other
+            for other, ended in zip(scores, states[: number // 3 * 3], strict=False)
+            if ended == "COMPLETE"
+        ]
+        behind = len(before) >= 5 and any(
+            max(mine[:step]) < np.median([other[step - 1] for other in before])
+            for step in range(1, len(mine) + 1)
+        )
+        assert behind == (state == "PRUNED")
+    assert "PRUNED" in states
+    assert land.bars == [True]
+
+
+def test_a_trial_of_several_seeds_has_the_mean_of_their_scores(tmp_path):
+    class Seeded(Landscape):
+        def learn(self, out, config, resume, evaluated):
+            self.trained.append((out, config, resume, 0))
+            for step in (1, 2):
+                evaluated(Evaluation(step, step * config.entropy + config.seed, 0.0, 0.0, 0.0))
+
+    land, config = Seeded(), training_config("ppo", seed=4)
+    best = tune(tmp_path, config, trials=6, seeds=3, space=SPACE, learn=land, report=str)
+    assert best.seed == 4
+    folders = [str(out.relative_to(tmp_path / TRIALS)) for out, *_ in land.trained]
+    assert folders[:4] == ["0000/seed-4", "0000/seed-5", "0000/seed-6", "0001/seed-4"]
+    assert [each.seed for _, each, *_ in land.trained] == [4, 5, 6] * 6
+    for trial in Study(tmp_path).study.trials:  # none is pruned
+        entropy = trial.params["entropy"]
+        assert trial.intermediate_values == pytest.approx({1: entropy + 5, 2: 2 * entropy + 5})
+        assert trial.value == pytest.approx(2 * entropy + 5)
+    tune(tmp_path, None, trials=7, learn=land, report=str)
+    assert len(land.trained) == 21
+
+
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_what_is_searched_by_default_is_what_the_algorithm_takes(algorithm):
     check_space(SPACES[algorithm], training_config(algorithm))
@@ -191,6 +235,63 @@ def test_every_evaluation_is_told_also_those_before_a_resume(tmp_path, quick):
     assert [each.timesteps for each in again] == [64, 96, 160]
 
 
+def search(out: Path, marker: Path, executor: str) -> None:
+    """Two rounds of two trials of real trainings."""
+    learn = partial(learn_and_die_once, marker)
+    space = {"learning_rate": Range(1e-4, 1e-2, log=True)}
+    options = {"trials": 4, "at_once": 2, "space": space, "executor": executor, "report": str}
+    tune(out, small("ppo"), learn=lambda banks, progress: learn, **options)
+
+
+def untimed(run: Path) -> dict[str, bytes]:
+    """What a run folder says, but for logs that say how long things took."""
+    found = contents(run)
+    assert {"selector.safetensors", "evaluation.csv", CONFIG} <= set(found)
+    return {
+        name: data for name, data in found.items() if not name.startswith(("events.", "progress."))
+    }
+
+
+def told(out: Path) -> list[tuple]:
+    trials = Study(out).study.trials
+    return [(each.state.name, each.params, each.intermediate_values) for each in trials]
+
+
+@pytest.fixture(scope="module")
+def serial(tmp_path_factory) -> Path:
+    """The search as one process does it."""
+    out = tmp_path_factory.mktemp("serial")
+    (out / "done").touch()
+    search(out / "study", out / "done", "serial")
+    return out / "study"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("executor", ["process:2", "ray"])
+def test_37_a_killed_worker_changes_nothing_of_a_search(tmp_path, serial, executor, request):
+    if executor == "ray":
+        request.getfixturevalue("two_ray_workers")
+    elsewhere = tmp_path / "elsewhere"
+    search(elsewhere, tmp_path / "marker", executor)
+    assert (tmp_path / "marker").exists()
+    assert (elsewhere / BEST).read_bytes() == (serial / BEST).read_bytes()
+    assert told(elsewhere) == told(serial)
+    runs = sorted(path.name for path in (serial / TRIALS).iterdir())
+    assert runs == [path.name for path in sorted((elsewhere / TRIALS).iterdir())]
+    assert len(runs) == 4
+    for run in runs:
+        ours, theirs = (untimed(out / TRIALS / run) for out in (elsewhere, serial))
+        assert ours == theirs
+
+
+def test_32_without_ray_a_search_says_how_to_install_it(tmp_path, amusic, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    status, _, said = amusic("tune", "--out", tmp_path / "study", "--executor", "ray")
+    assert (status, said.count("\n")) == (2, 1)
+    assert 'pip install "amusic-gym[ray]"' in said
+    assert not (tmp_path / "study").exists()
+
+
 @pytest.fixture
 def command(quick, monkeypatch, amusic):
     monkeypatch.setattr(
@@ -229,7 +330,11 @@ def test_the_command_searches_stops_and_goes_on(tmp_path, command, amusic, monke
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--trials", 0], "--trials is 0; give a whole number >= 1"),
+        (["--trials", 0], "trials is 0; give a whole number >= 1"),
+        (["--at-once", 0], "at_once is 0; give a whole number >= 1"),
+        (["--seeds", 0], "seeds is 0; give a whole number >= 1"),
+        (["--executor", "rya"], "did you mean 'ray'"),
+        (["--resume", "--seeds", 2], "seeds is the study's own when it is resumed"),
         (["--space", "entropi=0:1"], "did you mean 'entropy'"),
         (["--space", "entropy=low:high"], "give entropy=LOW:HIGH, LOW:HIGH:log or A,B,C"),
         (["--space", "epochs=0.5:2"], "of whole numbers"),

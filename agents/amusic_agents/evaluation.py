@@ -22,21 +22,13 @@ COMPUTE_WEIGHTS = (0.03, 0.1, 0.3, 1.0, 3.0)
 
 
 class Evaluation(NamedTuple):
-    """Means over held-out routes and compute weights.
+    """Means over held-out routes and compute weights."""
 
-    Attributes:
-        timesteps: frames of training so far.
-        score: correct − λ · compute per frame, with true correctness.
-        accuracy: share of frames with a true place.
-        compute: seconds / (frames · Σ seconds).
-        p_correct: mean p̂; far above ``accuracy`` where the selector exploits its errors.
-    """
-
-    timesteps: int
-    score: float
-    accuracy: float
-    compute: float
-    p_correct: float
+    timesteps: int  # frames of training so far
+    score: float  # correct − λ · compute per frame, with true correctness
+    accuracy: float  # share of frames with a true place
+    compute: float  # seconds / (frames · Σ seconds)
+    p_correct: float  # mean p̂; far above ``accuracy`` where the selector exploits its errors
 
 
 def measure(selector: Selector, jobs: Sequence[Job], **options: Any) -> NDArray[np.float64]:

@@ -29,18 +29,13 @@ TABLE = "imitation.csv"
 
 
 class Round(NamedTuple):
-    """How a round went.
+    """How a round went."""
 
-    Attributes:
-        teacher_share: expected share of the routes that the teacher drove.
-        agreement: share of the bits on which the student, before it learned from the round, would
-            have done what the teacher said.
-        loss: mean cross entropy per bit in the last pass.
-    """
-
-    teacher_share: float
+    teacher_share: float  # expected share of the routes that the teacher drove
+    # share of the bits on which the student, before it learned from the round, would have done what
+    # the teacher said
     agreement: float
-    loss: float
+    loss: float  # mean cross entropy per bit in the last pass
 
 
 class ImitationLearner:

@@ -48,19 +48,13 @@ ACTION_REPEAT = 2
 
 
 class Samples(NamedTuple):
-    """What rollouts from n states by B subsets each came to.
+    """What rollouts from n states by B subsets each came to."""
 
-    Attributes:
-        observations: (n, D) float32.
-        subsets: (n, B) number of each subset: bit t for slot t.
-        correctness: (n, B) float32, discounted mean of the reward without compute.
-        compute: (n, B) float32, discounted mean of the compute.
-    """
-
-    observations: NDArray[np.float32]
-    subsets: NDArray[np.int64]
+    observations: NDArray[np.float32]  # (n, D) float32
+    subsets: NDArray[np.int64]  # (n, B) number of each subset: bit t for slot t
+    # (n, B) float32, discounted mean of the reward without compute
     correctness: NDArray[np.float32]
-    compute: NDArray[np.float32]
+    compute: NDArray[np.float32]  # (n, B) float32, discounted mean of the compute
 
 
 def joined(parts: Sequence[Samples]) -> Samples:

@@ -2,21 +2,26 @@
 
 A study folder holds Optuna's journal, the run folder of every trial, and the best settings so far
 as a file that ``train --config`` takes. Trials of a low score are pruned: those whose best score
-so far is below the median of the others' after as many evaluations.
+so far is below the median of the others' after as many evaluations. Trials that are drawn together,
+and the seeds of a trial, may be trained side by side; the same comes out wherever they are.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from amusic_agents.config import TrainingConfig, leaves, with_leaves
 from amusic_agents.evaluation import Evaluation
-from amusic_agents.run_folder import CONFIG
 from amusic_agents.training import train
+from amusic_agents.trials import Learn, Learner, Reached, Training, load_optuna
+from amusic_gym.extraction.executors import make_executor
+from amusic_gym.extraction.shards import Workers
+from amusic_gym.utils.checks import whole
 from amusic_gym.utils.storage import only_writer, write_whole
 
 if TYPE_CHECKING:
@@ -75,16 +80,13 @@ SPACES: dict[str, Space] = {
 }
 """What is searched, by algorithm, where nothing else is asked for."""
 
-Learn = Callable[[Path, TrainingConfig, bool, Callable[[Evaluation], None]], object]
-"""Trains in a run folder, from its last checkpoint if True, and tells of every evaluation."""
-
 
 class Study:
     """A study in its folder, new or as it was left.
 
     Args:
         out: the study folder.
-        about: settings, space and banks of a new study, as JSON has them; None: as stored.
+        about: settings, space, banks and seeds of a new study, as JSON has them; None: as stored.
 
     Raises:
         ValueError: if Optuna is missing, the folder holds another study or none, or is damaged.
@@ -115,12 +117,12 @@ class Study:
                 for name, one in stored["space"].items()
             }
             self.banks: list[str] = list(stored["banks"])
+            self.seeds = int(stored.get("seeds", 1))
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} is damaged ({error}); give another folder") from error
         # Other draws than before, but the same after every resume from here.
         seed = self.base.seed + len(self.study.trials)
         self.study.sampler = optuna.samplers.TPESampler(seed=seed)
-        self.study.pruner = optuna.pruners.MedianPruner()
 
     @property
     def finished(self) -> list[optuna.trial.FrozenTrial]:
@@ -148,26 +150,48 @@ class Study:
         found: TrainingConfig = with_leaves(self.base, values)
         return found
 
-    def run_trial(self, learn: Learn) -> optuna.trial.FrozenTrial:
-        """Draw settings, train with them, and keep what they reached."""
-        optuna = load_optuna()
-        trial = self.study.ask()
-        config = self.settings(trial)
+    def run_round(self, count: int, workers: Workers) -> list[optuna.trial.FrozenTrial]:
+        """Draw settings of ``count`` trials, train with them, and keep what they reached."""
+        trials = [self.study.ask() for _ in range(count)]
+        drawn = [self.settings(trial) for trial in trials]  # before any is trained: a stop keeps it
+        trainings = [
+            training
+            for trial, config in zip(trials, drawn, strict=True)
+            for training in self._trainings(trial, config)
+        ]
+        reached: dict[int, list[Reached]] = {trial.number: [] for trial in trials}
+        found = {training.folder: each for training, each in workers.run(trainings)}
+        for training in trainings:  # not in the order in which they ended
+            reached[training.trial].append(found[training.folder])
+        return [self._tell(trial, reached[trial.number]) for trial in trials]
+
+    def _trainings(self, trial: optuna.Trial, config: TrainingConfig) -> list[Training]:
+        """A trial's trainings; the only one is pruned, several are not."""
         if "run" not in trial.user_attrs:
             trial.set_user_attr("run", f"{trial.number:04d}")
         run = self.out / TRIALS / trial.user_attrs["run"]
-        scores: list[float] = []
+        if self.seeds == 1:
+            return [Training(trial.number, run, config, self._completed())]
+        seeds = range(config.seed, config.seed + self.seeds)
+        return [
+            Training(trial.number, run / f"seed-{seed}", replace(config, seed=seed))
+            for seed in seeds
+        ]
 
-        def evaluated(evaluation: Evaluation) -> None:
-            scores.append(evaluation.score)
-            trial.report(evaluation.score, len(scores))
-            if trial.should_prune():
-                raise optuna.TrialPruned
+    def _completed(self) -> tuple[tuple[float, ...], ...]:
+        """Scores of the trials that were trained to their end."""
+        done = [trial for trial in self.finished if trial.state.name == "COMPLETE"]
+        return tuple(tuple(trial.intermediate_values.values()) for trial in done)
 
-        try:
-            learn(run, config, (run / CONFIG).exists(), evaluated)
-        except optuna.TrialPruned:
-            told = self.study.tell(trial, state=optuna.trial.TrialState.PRUNED)
+    def _tell(self, trial: optuna.Trial, reached: Sequence[Reached]) -> optuna.trial.FrozenTrial:
+        """Keep a trial's scores, means over its seeds, and the best settings so far."""
+        curves = [one.scores for one in reached]
+        scores = [sum(each) / len(each) for each in zip(*curves, strict=False)]
+        for number, score in enumerate(scores, 1):
+            trial.report(score, number)
+        if any(one.pruned for one in reached):
+            state = load_optuna().trial.TrialState.PRUNED
+            told = self.study.tell(trial, state=state)
         else:
             told = self.study.tell(trial, max(scores))
         if self.best is not None:
@@ -183,6 +207,9 @@ def tune(
     trials: int,
     space: Space | None = None,
     banks: Sequence[str] = (),
+    seeds: int = 1,
+    at_once: int = 1,
+    executor: str = "serial",
     learn: Callable[..., Learn] | None = None,
     report: Callable[[str], object] = print,
 ) -> TrainingConfig:
@@ -194,7 +221,12 @@ def tune(
         trials: how many are finished in the end, pruned ones among them.
         space: what is searched; None: `SPACES` of the algorithm. Of a new study.
         banks: folders of banks to train on; none: simulated routes. Of a new study.
-        learn: makes what trains from the study's banks; None: `train`, without a teacher.
+        seeds: trainings of a trial, from the seed of ``config`` on. With several the mean of their
+            scores counts, and none is pruned. Of a new study.
+        at_once: trials that are drawn and judged together, knowing nothing of each other.
+        executor: ``serial``, ``process:N``, ``ray`` or ``ray:ADDRESS``; no part of the result.
+        learn: makes what trains from the study's banks, and whether a bar is shown; None: `train`,
+            without a teacher.
         report: called with a line for every trial.
 
     Returns:
@@ -202,23 +234,30 @@ def tune(
 
     Raises:
         ValueError: if Optuna is missing, for settings that cannot be searched, for a folder in use
-            or with another study; also what a training refuses.
+            or with another study, for an unknown executor; also what a training refuses.
+        ChildProcessError: when workers die of the same training again and again.
         KeyboardInterrupt: when stopped; the study goes on with the trial that was stopped.
     """
     out = Path(out)
-    about = None
+    about: dict[str, Any] | None = None
     if config is not None:
         space = SPACES[config.algorithm] if space is None else space
         check_space(space, config)
         plain = {n: asdict(s) if isinstance(s, Range) else list(s) for n, s in space.items()}
         about = {"settings": leaves(config), "space": plain, "banks": [str(b) for b in banks]}
+        about["seeds"] = whole("seeds", seeds, 1)
+    whole("trials", trials, 1)
+    whole("at_once", at_once, 1)
     load_optuna()
-    with only_writer(out):
+    where = make_executor(executor)
+    with only_writer(out), where:
         study = Study(out, about)
         study.requeue()
-        run = (learn or _trainer)(study.banks)
-        while len(study.finished) < trials:
-            report(_line(study.run_trial(run), study.best))
+        learner = Learner((learn or _trainer)(study.banks, executor == "serial"))
+        with where.workers(learner) as workers:
+            while (left := trials - len(study.finished)) > 0:
+                for trial in study.run_round(min(at_once, left), workers):
+                    report(_line(trial, study.best))
         if study.best is None:
             raise ValueError(f"no trial of {out} came to its end; give more than {trials} trials")
         return study.settings(study.best)
@@ -254,13 +293,19 @@ def _draw(trial: Any, name: str, of: Range | tuple[Any, ...], default: Any) -> A
     return suggest(name, of.low, of.high, log=of.log)
 
 
-def _trainer(banks: Sequence[str]) -> Learn:
-    def learn(
-        out: Path, config: TrainingConfig, resume: bool, evaluated: Callable[[Evaluation], None]
-    ) -> None:
-        train(out, config, banks=banks, resume=resume, evaluated=evaluated)
+def _trainer(banks: Sequence[str], progress: bool) -> Learn:
+    return partial(_train, tuple(banks), progress)
 
-    return learn
+
+def _train(
+    banks: Sequence[str],
+    progress: bool,
+    out: Path,
+    config: TrainingConfig,
+    resume: bool,
+    evaluated: Callable[[Evaluation], None],
+) -> None:
+    train(out, config, banks=banks, resume=resume, evaluated=evaluated, progress=progress)
 
 
 def _line(trial: optuna.trial.FrozenTrial, best: optuna.trial.FrozenTrial | None) -> str:
@@ -269,17 +314,3 @@ def _line(trial: optuna.trial.FrozenTrial, best: optuna.trial.FrozenTrial | None
     params = " ".join(f"{n}={v:g}" for n, v in trial.params.items())
     reached = "" if best is None else f"; best {best.value:.4f}, trial {best.number}"
     return f"trial {trial.number}: {what} {max(scores):.4f}{reached}  {params}"
-
-
-def load_optuna() -> Any:
-    """Optuna, which says nothing of its own.
-
-    Raises:
-        ValueError: if it is not installed.
-    """
-    try:
-        import optuna
-    except ImportError:
-        raise ValueError('tuning needs Optuna: pip install "amusic-gym[tune]"') from None
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    return optuna

@@ -25,7 +25,6 @@ IMAGES = "images.json"  # of banks that were made of images, for who looks at th
 
 FILES = frozenset((MANIFEST, SCORES, TRUTH, IMAGES))
 _MOST_MANIFEST, _MOST_HEADERS = 2**24, 2**16  # bytes; of ground_truth.npz beside its numbers
-_READ_ATTEMPTS = 20
 _REBUILD = "copy the bank again or build it anew with amusic bank"
 
 
@@ -106,22 +105,13 @@ def check_destination(path: Path) -> None:
 def read(path: Path, *, verify: bool) -> tuple[NDArray[np.float32], GroundTruth, dict[str, Any]]:
     """Scores (T, Q, R), memory-mapped, ground truth and manifest of a bank, checked to agree.
 
-    Args:
-        path: the folder.
-        verify: also compare the checksum of the scores, which reads them all.
+    ``verify`` compares the checksum of the scores, too, which reads them all.
 
     Raises:
         FileNotFoundError: when the folder or a file in it is missing.
         ValueError: when it is damaged or from a newer format.
     """
-    for _ in range(_READ_ATTEMPTS):
-        with storage.opened_folder(path) as folder:
-            try:
-                return _read_once(path, folder, verify)
-            except FileNotFoundError:
-                if not storage.was_replaced(path, folder):  # else: once more, from the new one
-                    raise
-    raise ValueError(f"bank {path} is being rewritten all the time; load it when that is over")
+    return storage.read_whole(path, "bank", lambda folder: _read_once(path, folder, verify))
 
 
 def _read_once(
@@ -161,13 +151,6 @@ def parse_manifest(
     content: bytes, path: Path, kind: str, most: int, rebuild: str
 ) -> dict[str, Any]:
     """The manifest of a folder that holds a checksum of itself.
-
-    Args:
-        content: of the file.
-        path: the file.
-        kind: of the folder, for messages.
-        most: newest format version that is known.
-        rebuild: what to do about a damaged one.
 
     Raises:
         ValueError: for a damaged one, or one of a newer version.

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from amusic_gym.banks.scores import as_float32, check_rows
 from amusic_gym.utils import reading
 from amusic_gym.utils.names import suggest
+from amusic_gym.utils.optional import optional
 
 H5_SUFFIXES = (".h5", ".hdf5")
 H5_KEY = "global_descriptor"
@@ -31,20 +32,13 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Descriptors:
-    """Global descriptors of N images in one or several files, read in blocks.
+    """Global descriptors of N images in one or several files, read in blocks."""
 
-    Attributes:
-        source: what refusals call them: the path.
-        dimensions: D.
-        rows: (N,) int64, row of each in the source, in the order of the traverse.
-        names: of the source's rows, if it names them.
-        read: gives rows of the source, (n, D) numbers of any dtype.
-    """
-
-    source: str
-    dimensions: int
-    rows: NDArray[np.int64]
-    names: tuple[str, ...] | None
+    source: str  # what refusals call them: the path
+    dimensions: int  # D
+    rows: NDArray[np.int64]  # (N,) int64, row of each in the source, in the order of the traverse
+    names: tuple[str, ...] | None  # of the source's rows, if it names them
+    # gives rows of the source, (n, D) numbers of any dtype
     read: Callable[[NDArray[np.int64]], NDArray[Any]]
 
     def __len__(self) -> int:
@@ -78,21 +72,16 @@ class Descriptors:
 class DescriptorPair:
     """The descriptors of one technique on a map and on a run.
 
-    Args:
-        technique: its name.
-        reference: of R places.
-        query: of Q frames.
-        metric: one of `METRICS`; None: the dot product, where all descriptors are equally long and
-            every metric ranks alike.
-
     Raises:
         ValueError: for descriptors of different size, an unknown metric, or None where metrics
             differ.
     """
 
-    technique: str
-    reference: Descriptors
-    query: Descriptors
+    technique: str  # its name
+    reference: Descriptors  # of R places
+    query: Descriptors  # of Q frames
+    # one of `METRICS`; None: the dot product, where all descriptors are equally long and every
+    # metric ranks alike
     metric: str | None = None
 
     def __post_init__(self) -> None:
@@ -259,7 +248,7 @@ def from_h5(path: Path, group: str = "") -> Descriptors:
     Raises:
         ValueError: without h5py; when it is no such file, or has no such group.
     """
-    h5py = h5py_for(str(path))
+    h5py = optional("h5py", str(path), "the package h5py", "hdf5")
     reading.open_file(path).close()  # refuses what is no file
     found: dict[str, tuple[tuple[int, ...], np.dtype[Any]]] = {}
 
@@ -290,21 +279,6 @@ def from_h5(path: Path, group: str = "") -> Descriptors:
     dimensions = found[names[0]][0][0]
     source = f"{path}/{group}" if group else str(path)
     return Descriptors(source, dimensions, np.arange(len(names)), tuple(names), read)
-
-
-def h5py_for(what: str) -> Any:
-    """The package h5py, an optional part.
-
-    Raises:
-        ValueError: where it is not installed, with the command.
-    """
-    try:
-        import h5py
-    except ImportError:
-        raise ValueError(
-            f'{what} needs the package h5py; install it: pip install "amusic-gym[hdf5]"'
-        ) from None
-    return h5py
 
 
 def _stack(each: Iterator[tuple[str, NDArray[Any]]], count: int, dimensions: int) -> Floats:

@@ -26,18 +26,13 @@ class GroundTruth:
     A query may have no true place: every prediction for it is wrong, and it does not count among
     the queries that recall can reach. Arrays are kept read-only.
 
-    Args:
-        indptr: (Q+1,) int64, where each query's places begin and end.
-        places: (P,) int64, rising within each query, in [0, ``references``).
-        references: R, places on the map.
-
     Raises:
         ValueError: for arrays that are not such a list.
     """
 
-    indptr: NDArray[np.int64]
-    places: NDArray[np.int64]
-    references: int
+    indptr: NDArray[np.int64]  # (Q+1,) int64, where each query's places begin and end
+    places: NDArray[np.int64]  # (P,) int64, rising within each query, in [0, ``references``)
+    references: int  # R, places on the map
     # (P,) q * R + place: rising over all queries, so one search answers for many frames.
     _keys: NDArray[np.int64] = field(init=False, repr=False)
 
@@ -76,10 +71,7 @@ class GroundTruth:
                 f"ground truth has shape {array.shape} and dtype {array.dtype}; "
                 "give a boolean matrix [query, reference]"
             )
-        queries, places = np.nonzero(array)
-        indptr = np.zeros(array.shape[0] + 1, np.int64)
-        np.cumsum(np.bincount(queries, minlength=array.shape[0]), out=indptr[1:])
-        return cls(indptr, places.astype(np.int64), array.shape[1])
+        return cls.from_lists([np.flatnonzero(row) for row in array], array.shape[1])
 
     @classmethod
     def from_places(cls, centres: ArrayLike, tolerance: int, references: int) -> GroundTruth:
@@ -99,9 +91,8 @@ class GroundTruth:
     def from_lists(cls, places: Sequence[ArrayLike], references: int) -> GroundTruth:
         """Ground truth from the true places of each query, rising, on a map of ``references``."""
         rows = [np.asarray(row, np.int64) for row in places]
-        return cls(
-            np.append(0, np.cumsum([len(row) for row in rows])), np.concatenate(rows), references
-        )
+        indptr = np.append(0, np.cumsum([len(row) for row in rows], dtype=np.int64))
+        return cls(indptr, np.concatenate([np.zeros(0, np.int64), *rows]), references)
 
     def widened(self, tolerance: int, parts: Sequence[int] = ()) -> GroundTruth:
         """The same, and ``tolerance`` places to either side of each true one, on its own part.
@@ -148,15 +139,16 @@ class GroundTruth:
         """(Q,) whether the query has a true place at all."""
         return np.diff(self.indptr) > 0
 
+    def of(self, query: int) -> NDArray[np.int64]:
+        """(n,) true places of a query, rising."""
+        return self.places[self.indptr[query] : self.indptr[query + 1]]
+
     def correct(self, predictions: ArrayLike, frames: ArrayLike | None = None) -> NDArray[np.bool_]:
-        """Whether each predicted place is a true one; -1 (no prediction) never is.
+        """Whether each predicted place is a true one, (n,); -1 (no prediction) never is.
 
         Args:
             predictions: (n,) places in [0, R), or -1.
             frames: (n,) the query frame of each; None: one prediction for every frame in order.
-
-        Returns:
-            (n,) boolean.
         """
         places, queries = self._pairs(predictions, frames)
         if not len(self._keys):
@@ -197,11 +189,10 @@ class GroundTruth:
 
         A run that the map's end cuts off has its middle where that of a whole one would be.
 
+        -1 where the query has no true place.
+
         Args:
             predictions: (Q,) places in [0, R), or -1.
-
-        Returns:
-            (Q,) int64: -1 where the query has no true place.
         """
         places, queries = self._pairs(predictions, None)
         result = np.full(len(places), -1)

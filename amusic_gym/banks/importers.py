@@ -37,7 +37,6 @@ def from_arrays(
     tolerance: int | None = None,
     ground_truth: _Path | NDArray[Any] | GroundTruth | None = None,
     name: str = "",
-    source: str = "",
     exclude_recent: int | None = None,
     out: _Path | None = None,
 ) -> ScoreBank:
@@ -49,7 +48,6 @@ def from_arrays(
         tolerance: see `ScoreBank`.
         ground_truth: as for `ScoreBank`, or a file (:mod:`amusic_gym.banks.truth_files`).
         name: what to call the bank in tables.
-        source: where the scores come from; by default, the files' names.
         exclude_recent: as for `extract`.
         out: the bank's folder to write; None: the bank stays in memory. With it, memory holds some
             rows at a time.
@@ -71,7 +69,7 @@ def from_arrays(
     if exclude_recent is not None:
         truth = truth_without_recent(truth, exclude_recent)
     costs = check_seconds(_seconds_in_order(names, seconds), names)
-    source = source or "arrays: " + ", ".join(path.name for path in paths)
+    source = "arrays: " + ", ".join(path.name for path in paths)
     rows: Iterator[NDArray[np.float32]] = (
         block
         for technique, matrix in zip(names, matrices, strict=True)
@@ -91,7 +89,6 @@ def from_descriptors(
     tolerance: int | None = None,
     ground_truth: NDArray[Any] | GroundTruth | None = None,
     name: str = "",
-    source: str = "",
     exclude_recent: int | None = None,
     out: _Path | None = None,
     advance: Callable[[int], object] = lambda done: None,
@@ -102,10 +99,9 @@ def from_descriptors(
         pairs: descriptors of each technique on the map and on the run
             (`amusic_gym.routes.descriptor_files.read_descriptors` reads them).
         seconds: technique name -> seconds of one run on one frame.
-        tolerance: see `ScoreBank`; likewise ``ground_truth``, ``name`` and ``source``.
+        tolerance: see `ScoreBank`; likewise ``ground_truth`` and ``name``.
         ground_truth: by default, query q is at place q.
         name: what to call the bank in tables.
-        source: where the scores come from; by default, the files' names.
         exclude_recent: as for `extract`.
         out: the bank's folder to write; None: the bank stays in memory. With it, memory holds
             blocks of descriptors and of rows at a time.
@@ -140,7 +136,7 @@ def from_descriptors(
         truth=truth,
         tolerance=places,
         name=name,
-        source=source or f"descriptors: {', '.join(files)}",
+        source=f"descriptors: {', '.join(files)}",
         out=out,
     )
 
@@ -184,7 +180,6 @@ def from_vprbench(
     *,
     tolerance: int | None = None,
     name: str = "",
-    source: str = "",
 ) -> ScoreBank:
     """A bank from VPR-Bench's precomputed matches.
 
@@ -201,7 +196,6 @@ def from_vprbench(
         trust: True to unpickle these files.
         tolerance: see `ScoreBank`.
         name: what to call the bank in tables.
-        source: where the scores come from; by default, VPR-Bench and the folder's name.
 
     Raises:
         FileNotFoundError: when the folder or a file is missing.
@@ -233,7 +227,7 @@ def from_vprbench(
         truth=truth,
         tolerance=places,
         name=name,
-        source=source or f"VPR-Bench: {folder.resolve().parent.name}",
+        source=f"VPR-Bench: {folder.resolve().parent.name}",
     )
 
 

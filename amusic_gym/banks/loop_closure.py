@@ -14,10 +14,6 @@ from amusic_gym.utils.checks import whole
 def truth_without_recent(truth: GroundTruth, recent: int) -> GroundTruth:
     """The true places of each frame that lie more than ``recent`` frames before it.
 
-    Args:
-        truth: of Q frames on a map of the same Q.
-        recent: N ≥ 0.
-
     Raises:
         ValueError: where there are not as many places as frames; where no place is left.
     """
@@ -39,13 +35,7 @@ def truth_without_recent(truth: GroundTruth, recent: int) -> GroundTruth:
 def rows_without_recent(
     blocks: Iterable[NDArray[np.float32]], queries: int, recent: int
 ) -> Iterator[NDArray[np.float32]]:
-    """Score rows (n, Q) with −∞ at the frame itself, the ``recent`` before it and all after it.
-
-    Args:
-        blocks: the rows of one technique after the other.
-        queries: Q.
-        recent: N.
-    """
+    """Score rows (n, Q) with −∞ at the frame itself, the ``recent`` before it and all after it."""
     frame = 0
     for block in blocks:
         frames = (frame + np.arange(len(block))) % queries

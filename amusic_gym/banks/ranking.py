@@ -66,16 +66,13 @@ def true_ranks(
 ) -> NDArray[np.int64]:
     """Rank of the first true place in the list of each frame, (Q,), from 1; 0: not in it.
 
-    Args:
-        bank: the route, Q frames.
-        predictions: (Q,) places, −1 for none.
-        ran: (Q, T).
+    ``predictions`` (Q,) are places, −1 for none; ``ran`` is (Q, T).
     """
     ranks = bank.truth.correct(predictions).astype(np.int64)
     asked = (ranks == 0) & bank.truth.has_place & ran.any(axis=1)
     for frame in np.flatnonzero(asked).tolist():
         scores, given = _fused(bank, frame, ran[frame]), predictions[frame]
-        true = bank.truth.places[slice(*bank.truth.indptr[frame : frame + 2])]
+        true = bank.truth.of(frame)
         best = true[scores[true].argmax()]  # the first of them
         if scores[best] == -np.inf:
             continue

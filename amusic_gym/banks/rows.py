@@ -55,9 +55,7 @@ class PreparedRows:
     def point(self, runs: NDArray[Any], columns: NDArray[np.int64]) -> None:
         """Write to the Run records (S,) where the rows of techniques lie in memory.
 
-        Args:
-            runs: the records, all but ``start`` and ``entries``.
-            columns: (S,) technique of each.
+        All but ``start`` and ``entries``; ``columns`` (S,) are their techniques.
         """
         runs["references"] = self.references
         runs["candidates"] = self.candidates

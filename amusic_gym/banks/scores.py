@@ -12,11 +12,7 @@ _Number = TypeVar("_Number", bound=np.generic)
 
 
 def check_names(techniques: Sequence[str], count: int | None = None) -> tuple[str, ...]:
-    """``techniques`` as a tuple of different, usable names.
-
-    Args:
-        techniques: the names.
-        count: how many there must be; None: at least one.
+    """``techniques`` as a tuple of different, usable names, ``count`` of them; None: at least one.
 
     Raises:
         ValueError: for another number of names, or a name that is empty, repeated, or ambiguous

@@ -1,7 +1,8 @@
 """The commands: ``amusic NAME``, ``python -m amusic_gym NAME``, ``python scripts/NAME.py``.
 
-A command is a module of its name with ``add_arguments(parser)`` and ``main(args)``; its docstring
-is what ``--help`` begins with.
+A command is a module of its name with ``add_arguments(parser)`` and, unless that adds subcommands,
+``main(args)``; its docstring is what ``--help`` begins with. What input is refused, every function
+here raises as a ValueError of one sentence; what is not there, as a FileNotFoundError.
 """
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ def start(name: str, words: Sequence[str] | None = None, prog: str | None = None
     command = import_module(f"amusic_gym.cli.{name}")
     parser = Parser(prog=prog, description=command.__doc__)
     command.add_arguments(parser)
-    command.main(parser.parse_args(words))
+    args = parser.parse_args(words)
+    run = args.run if "run" in args else command.main
+    run(args)
 
 
 def main() -> NoReturn:

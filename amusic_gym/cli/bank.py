@@ -14,7 +14,7 @@ from amusic_gym.cli.bank_descriptors import add_describe, add_descriptors, descr
 from amusic_gym.cli.bank_images import add_images, add_render, add_tour, images, render, tour
 from amusic_gym.cli.images import tell
 from amusic_gym.cli.options import MANY
-from amusic_gym.cli.parser import Parser, numbers, pairs
+from amusic_gym.cli.parser import Parser, add_commands, numbers, pairs
 
 
 def arrays(args: argparse.Namespace) -> None:
@@ -88,8 +88,8 @@ def info(args: argparse.Namespace) -> None:
 
 def add_arguments(parser: Parser) -> None:
     """Add the commands, and the arguments of each."""
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for run, add, about in (
+    add_commands(
+        parser,
         (arrays, _add_arrays, "from one .npy matrix of scores per technique"),
         (descriptors, add_descriptors, "from global descriptors, hloc's and others'"),
         (vprbench, _add_vprbench, "from VPR-Bench's precomputed matches"),
@@ -100,15 +100,7 @@ def add_arguments(parser: Parser) -> None:
         (render, add_render, "draw a made-up route in any weather, as folders of images"),
         (describe, add_describe, "write descriptors of images, and similar pairs, as hloc does"),
         (info, _add_info, "check a bank and print what is in it"),
-    ):
-        command = commands.add_parser(run.__name__, help=about)
-        command.set_defaults(run=run)
-        add(command)
-
-
-def main(args: argparse.Namespace) -> None:
-    """Run the command that was named."""
-    args.run(args)
+    )
 
 
 def _add_arrays(parser: Parser) -> None:

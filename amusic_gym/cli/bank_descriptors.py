@@ -83,15 +83,8 @@ def read_pairs(
 ) -> list[DescriptorPair]:
     """The techniques of ``NAME=PATH``, each with its descriptors of the map and of the run.
 
-    Args:
-        args: with ``metric``.
-        reference: of the map; they name the techniques.
-        query: of the run.
-        images: the map's and the run's; None is replaced by the names of the first file that has
-            some.
-
-    Raises:
-        ValueError: for a technique without one of its sides; as `read_descriptors`.
+    The map's descriptors name the techniques. Of ``images``, the map's and the run's, None is
+    replaced by the names of the first file that has some.
     """
     files = [pairs(reference, "descriptors of the map:")]
     names = list(files[0])

@@ -7,11 +7,11 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from amusic_gym.banks.bank_files import check_destination
-from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.cli import images as shared
 from amusic_gym.cli.bank_descriptors import add_metric, read_pairs
 from amusic_gym.cli.bank_truth import add_truth, check_truth, given, truth_of
@@ -20,9 +20,8 @@ from amusic_gym.cli.parser import Parser, destination
 from amusic_gym.extraction.progress import Progress
 from amusic_gym.routes import image_truth, tours
 from amusic_gym.routes.conditions import CONDITIONS
-from amusic_gym.routes.datasets import load_dataset
+from amusic_gym.routes.datasets import LoadedRoute, load_dataset
 from amusic_gym.routes.folders import ImageFolder
-from amusic_gym.routes.positions import Positions
 from amusic_gym.utils.checks import whole
 
 if TYPE_CHECKING:
@@ -35,29 +34,18 @@ LEAST_SIZE = 16
 PART = re.compile(r"([^:]+):([^:]+?)(?:@(\d+):(\d+):([1-9]\d*))?")
 
 
-class _Route(NamedTuple):
-    """Two folders, what is true, and what to call it."""
-
-    reference: Any
-    query: Any
-    ground_truth: GroundTruth
-    tolerance: int | None
-    name: str
-    positions: tuple[Positions, Positions] | None = None
-
-
 def images(args: argparse.Namespace) -> None:
     """Two folders of images, or a data set -> a bank."""
     named = [item.partition("=")[0] for item in args.reference_descriptors]
     techniques, seconds = shared.techniques_of(args, named)
     with ExitStack() as stack:
         route = _dataset(args) if args.dataset else _folders(args, stack)
-        sides = [route.reference, route.query]
+        sides: list[ImageFolder | None] = [route.reference, route.query]
         pairs = read_pairs(args, args.reference_descriptors, args.query_descriptors, sides)
         if args.copies:
             widened = image_truth.with_copies(route.ground_truth, route.reference)
-            route = route._replace(ground_truth=widened)
-        what = {name: value for name, value in route._asdict().items() if name != "positions"}
+            route = replace(route, ground_truth=widened)
+        what = {name: value for name, value in vars(route).items() if name != "positions"}
         what |= {"exclude_recent": args.exclude_recent, "descriptors": pairs}
         bank = _extract(args, techniques, seconds, **what)
     if route.positions is None:
@@ -182,7 +170,7 @@ def _part(text: str) -> tuple[ImageFolder, ImageFolder]:
     return ImageFolder(reference, **cut), ImageFolder(query, **cut)
 
 
-def _folders(args: argparse.Namespace, stack: ExitStack) -> _Route:
+def _folders(args: argparse.Namespace, stack: ExitStack) -> LoadedRoute:
     """The route of ``--reference`` and ``--query``."""
     _refuse(args, ("root", "images", "first", "step"), "only goes with --dataset")
     check_truth(args)
@@ -194,10 +182,10 @@ def _folders(args: argparse.Namespace, stack: ExitStack) -> _Route:
     if args.exclude_recent is None:
         image_truth.warn_of_shared_files(reference.folder, query.folder)
     truth, positions = truth_of(args, reference, query)
-    return _Route(reference.folder, query.folder, truth, args.tolerance, "", positions)
+    return LoadedRoute(reference.folder, query.folder, truth, args.tolerance, "", positions)
 
 
-def _dataset(args: argparse.Namespace) -> _Route:
+def _dataset(args: argparse.Namespace) -> LoadedRoute:
     """The route of ``--dataset``."""
     brought = ("reference", "query", "ground_truth", "truth_by", "metres", "heading", "plot")
     thinning = ("every", "fps", "every_metres", "reference_positions", "query_positions")
@@ -212,11 +200,10 @@ def _dataset(args: argparse.Namespace) -> _Route:
         name: whole(f"--{name}", value, least[name]) for name, value in given(args, *least).items()
     }
     found = load_dataset(args.dataset, args.root, **counts)
-    truth, tolerance = found.ground_truth, found.tolerance
-    if args.tolerance is not None:
-        tolerance = args.tolerance
-        truth = image_truth.by_index(found.reference, found.query, tolerance)
-    return _Route(found.reference, found.query, truth, tolerance, found.name)
+    if args.tolerance is None:
+        return found
+    truth = image_truth.by_index(found.reference, found.query, args.tolerance)
+    return replace(found, ground_truth=truth, tolerance=args.tolerance)
 
 
 def _refuse(args: argparse.Namespace, names: Sequence[str], why: str) -> None:

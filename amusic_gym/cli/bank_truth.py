@@ -31,11 +31,7 @@ def add_truth(parser: Parser) -> None:
 
 
 def check_truth(args: argparse.Namespace) -> None:
-    """Refuse what contradicts itself, before any file is read.
-
-    Raises:
-        ValueError: naming the options.
-    """
+    """Refuse what contradicts itself, before any file is read."""
     if args.truth_by is None and args.ground_truth is None and has_positions(args):
         args.truth_by = "position"
     by = args.truth_by
@@ -51,13 +47,7 @@ def check_truth(args: argparse.Namespace) -> None:
 def truth_of(
     args: argparse.Namespace, reference: Traverse, query: Traverse
 ) -> tuple[GroundTruth, tuple[Positions, Positions] | None]:
-    """Which places of the map are true for the frames of the run, and the positions that say so.
-
-    Args:
-        args: that `check_truth` let pass.
-        reference: the map; positions that it lacks are read as the options say.
-        query: the run, likewise.
-    """
+    """Which places of the map are true for the frames of the run, and the positions that say so."""
     by, tolerance, folders = args.truth_by, args.tolerance, (reference.folder, query.folder)
     if args.ground_truth is not None:
         return image_truth.from_file(args.ground_truth, *folders, tolerance, args.trust), None

@@ -30,30 +30,17 @@ _OF_IMAGES = ("reference", "techniques", "reference_positions", "cache")
 
 
 class Described(NamedTuple):
-    """A map, ready to be driven on.
+    """A map, ready to be driven on."""
 
-    Attributes:
-        maps: T of them.
-        images: of its R places.
-        positions: R of them; None where they are not known.
-        seconds: technique's name -> seconds of a run, where they are known.
-        file: the map's folder; None for images.
-    """
-
-    maps: Sequence[DescribedMap]
-    images: ImageFolder | Thumbnails
-    positions: Positions | None
-    seconds: Mapping[str, float]
-    file: PlaceMap | None = None
+    maps: Sequence[DescribedMap]  # T of them
+    images: ImageFolder | Thumbnails  # of its R places
+    positions: Positions | None  # R of them; None where they are not known
+    seconds: Mapping[str, float]  # technique's name -> seconds of a run, where they are known
+    file: PlaceMap | None = None  # the map's folder; None for images
 
 
 def from_file(args: argparse.Namespace, stack: ExitStack) -> Described:
-    """The map of ``--map``.
-
-    Raises:
-        FileNotFoundError: as `PlaceMap.load`.
-        ValueError: likewise, and for options that are of images.
-    """
+    """The map of ``--map``."""
     for name in _OF_IMAGES:
         if getattr(args, name) is not None:
             raise ValueError(f"--{name.replace('_', '-')} does not go with --map, which brings it")
@@ -104,12 +91,7 @@ def truth_of(
 ) -> GroundTruth | None:
     """What is right, by ``--ground-truth`` or by the positions of both; None: nobody knows.
 
-    Args:
-        args: of the command.
-        described: the map.
-        frames: the run.
-        there: where its images were taken.
-        default: tolerance where a file gives one place per frame and ``--tolerance`` none.
+    ``default`` is the tolerance where a file gives one place per frame and ``--tolerance`` none.
     """
     folder = getattr(frames, "images", None)
     if args.ground_truth is not None:

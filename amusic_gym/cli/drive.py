@@ -25,13 +25,7 @@ HEADER = f"{'frame':>6} {'place':>6} {'confidence':>10} {'p':>5} {'ms':>8}  tech
 
 
 class Journal:
-    """Prints results as they come, and the summary when it is left, by Ctrl-C too.
-
-    Args:
-        route: the route that is driven.
-        answers: what is known.
-        quiet: print the summary only.
-    """
+    """Prints results as they come, and the summary when it is left, by Ctrl-C too."""
 
     def __init__(self, route: LiveRoute, answers: Answers, *, quiet: bool = False) -> None:
         """Nothing is printed yet."""
@@ -155,15 +149,7 @@ def line(result: FrameResult, right: bool | None, known: bool | None = None) -> 
 
 
 def check_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, str | None]) -> None:
-    """Refuse files that cannot be written, or that would replace what is read, before any work.
-
-    Args:
-        outputs: option -> the file that it writes; None: not given.
-        inputs: option -> what it reads.
-
-    Raises:
-        ValueError: naming the option and the mend.
-    """
+    """Refuse files that cannot be written, or that would replace what is read, before any work."""
     taken = [(option, Path(path)) for option, path in inputs.items() if path is not None]
     for option, path in outputs.items():
         if path is None:

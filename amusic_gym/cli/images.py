@@ -17,6 +17,7 @@ from amusic_gym.routes.position_files import EXIF, positions_of, read_track
 from amusic_gym.routes.positions import Positions
 from amusic_gym.routes.video_frames import frames_of
 from amusic_gym.utils.checks import whole
+from amusic_gym.utils.names import few
 
 if TYPE_CHECKING:
     from amusic_gym.techniques import Technique
@@ -46,6 +47,14 @@ def run_of(args: argparse.Namespace, stack: ExitStack) -> Traverse:
     return traverse(args, args.query, stack, args.query_positions, -1)
 
 
+def thinning(args: argparse.Namespace) -> dict[str, Any]:
+    """Which frames of a video ``--every`` or ``--fps`` take."""
+    if args.every is not None and args.fps is not None:
+        raise ValueError("--every and --fps both thin a video; give one of the two")
+    every = 1 if args.every is None else whole("--every", args.every, 1)
+    return {"every": every, "fps": args.fps}
+
+
 def traverse(
     args: argparse.Namespace,
     path: str | os.PathLike[str],
@@ -53,26 +62,17 @@ def traverse(
     positions: str | None,
     side: int = 0,
 ) -> Traverse:
-    """The images of a folder or a video, thinned and with positions as the options say.
-
-    Raises:
-        FileNotFoundError: for what is not there.
-        ValueError: for what cannot be read, or options that do not go together.
-    """
-    metres = args.every_metres
-    if args.every is not None and args.fps is not None:
-        raise ValueError("--every and --fps both thin a video; give one of the two")
+    """The images of a folder or a video, thinned and with positions as the options say."""
+    metres, thinned = args.every_metres, thinning(args)
     if metres is not None and positions is None:
         raise ValueError(f"--every-metres needs the positions of {path}; give a file of them")
     if not Path(path).is_file():
         return _thinned(image_folder(args, path, side), positions, metres)
     if args.order or args.skip_damaged or positions == EXIF:
         raise ValueError(f"{path} is a video; --order, --skip-damaged and exif are of image files")
-    every = 1 if args.every is None else whole("--every", args.every, 1)
     track = None if positions is None else read_track(positions)
-    thinned: dict[str, Any] = {"every": every, "fps": args.fps, "metres": metres}
     with Progress(True).bar(Path(path).name, None, "frames") as advance:
-        frames = frames_of(path, track=track, advance=advance, **thinned)
+        frames = frames_of(path, track=track, metres=metres, advance=advance, **thinned)
         return Traverse(*stack.enter_context(frames))
 
 
@@ -99,11 +99,10 @@ def image_folder(args: argparse.Namespace, path: str | os.PathLike[str], side: i
     folder = ImageFolder(path, order=order_of(args, side))
     damaged = folder.damaged() if args.skip_damaged else {}
     if damaged:
-        told = "; ".join(list(damaged.values())[:_NAMED])
-        more = f"; and {len(damaged) - _NAMED} more" if len(damaged) > _NAMED else ""
+        told = few(list(damaged.values()), _NAMED, "; ")
         warnings.warn(
             f"{folder.path}: {len(damaged)} damaged images are left out, so neighbouring frames"
-            f" may not be neighbours on the route: {told}{more}",
+            f" may not be neighbours on the route: {told}",
             stacklevel=2,
         )
     return folder.without(damaged)
@@ -122,13 +121,7 @@ def techniques_of(
 ) -> tuple[list[Technique], dict[str, float]]:
     """The techniques of the command line, and the seconds that are given for some, by name.
 
-    Args:
-        args: with ``techniques``, ``weights`` and ``seconds``.
-        others: names of techniques that do not run here, and may have seconds.
-
-    Raises:
-        FileNotFoundError: for a file of weights that is not there.
-        ValueError: for an unknown name, weights that do not fit, or seconds that are no number.
+    ``others`` are names of techniques that do not run here, and may have seconds.
     """
     from amusic_gym.techniques import make_technique
 

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from amusic_gym.cli import images as shared
-from amusic_gym.cli.parser import Parser, pairs
+from amusic_gym.cli.parser import Parser, add_commands, pairs
 
 
 def build(args: argparse.Namespace) -> None:
@@ -83,20 +83,12 @@ def info(args: argparse.Namespace) -> None:
 
 def add_arguments(parser: Parser) -> None:
     """Add the commands, and the arguments of each."""
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for run, add, about in (
+    add_commands(
+        parser,
         (build, _add_build, "describe images or a video by techniques"),
         (append, _add_append, "add the places of another traverse behind a map's"),
         (info, _add_info, "check a map and print what is in it"),
-    ):
-        command = commands.add_parser(run.__name__, help=about)
-        command.set_defaults(run=run)
-        add(command)
-
-
-def main(args: argparse.Namespace) -> None:
-    """Run the command that was named."""
-    args.run(args)
+    )
 
 
 def _add_build(parser: Parser) -> None:

@@ -21,6 +21,7 @@ import numpy as np
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.ground_truth import GroundTruth, check_tolerance
+from amusic_gym.cli.bank_truth import given
 from amusic_gym.cli.described import (
     TECHNIQUES,
     Described,
@@ -30,7 +31,7 @@ from amusic_gym.cli.described import (
     truth_of,
 )
 from amusic_gym.cli.drive import Journal, Publisher, check_outputs
-from amusic_gym.cli.images import run_of
+from amusic_gym.cli.images import run_of, thinning
 from amusic_gym.cli.options import MANY
 from amusic_gym.cli.parser import (
     Parser,
@@ -158,7 +159,8 @@ def main(args: argparse.Namespace) -> None:
         pictures = Pictures(route, f"{route.name}, {policy_label(args.policy)}")
         trace = stack.enter_context(TraceWriter(args.trace, route)) if args.trace else None
         drive = _drive(policy, route, correction, args.seed, keep)
-        answers = _answers(described, args.min_p)
+        images = described.images if described.file is None else described.file
+        answers = Answers(getattr(images, "names", None), described.positions, args.min_p)
         journal = stack.enter_context(Journal(route, answers, quiet=args.quiet or bool(lines)))
         for result in islice(drive, args.frames):
             publisher.write(result, answers, journal.write(result))
@@ -215,13 +217,11 @@ def _window() -> Window:
 
 def _frames(args: argparse.Namespace, stack: ExitStack) -> tuple[FrameSource, Positions | None]:
     """The folder, video or camera of the command line, and where a folder's images were taken."""
-    query, thinned = args.query, args.every is not None or args.fps is not None
+    query, taken = args.query, thinning(args)
     is_url = "://" in query and not Path(query).exists()
-    if args.every is not None and args.fps is not None:
-        raise ValueError("--every and --fps both thin a video; give one of the two")
     is_camera = is_url or (query.lstrip("-").isdecimal() and not Path(query).exists())
     filmed = args.reference is not None and args.reference.is_file()
-    if thinned and not filmed and (is_camera or Path(query).is_dir()):
+    if given(args, "every", "fps") and not filmed and (is_camera or Path(query).is_dir()):
         raise ValueError(f"--every and --fps thin a video, but --query {query} is none")
     if is_camera and query.startswith("-"):
         raise ValueError(f"--query {query}: camera numbers are 0, 1, …")
@@ -234,8 +234,7 @@ def _frames(args: argparse.Namespace, stack: ExitStack) -> tuple[FrameSource, Po
             raise ValueError(f"--{option} needs a folder of images, but --query is {query}")
     if is_camera:
         return NetworkCamera(query) if is_url else Camera(int(query)), None
-    every = 1 if args.every is None else whole("--every", args.every, 1)
-    return VideoFile(query, every=every, fps=args.fps), None
+    return VideoFile(query, **taken), None
 
 
 def _route(
@@ -273,12 +272,6 @@ def _warm_up(
     )
     for _ in _drive(policy, short, correction, seed=0):
         pass
-
-
-def _answers(described: Described, min_p: float | None) -> Answers:
-    """What is told of a frame."""
-    images = described.images if described.file is None else described.file
-    return Answers(getattr(images, "names", None), described.positions, min_p)
 
 
 def _drive(

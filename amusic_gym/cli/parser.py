@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -76,6 +76,19 @@ class Parser(argparse.ArgumentParser):
         return f"; did you mean '{near}'?" if near else ""
 
 
+Command = tuple[Callable[[argparse.Namespace], None], Callable[["Parser"], None], str]
+"""What runs a subcommand and gives it its name, what adds its arguments, and its help."""
+
+
+def add_commands(parser: Parser, *commands: Command) -> None:
+    """Add subcommands; what is parsed has as ``run`` what runs the one that was named."""
+    all_of_them = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for run, add, about in commands:
+        command = all_of_them.add_parser(run.__name__, help=about)
+        command.set_defaults(run=run)
+        add(command)
+
+
 def destination(text: str) -> Path:
     """A file or folder to write, as argparse's ``type``: nothing goes into a bank's folder."""
     try:
@@ -100,9 +113,7 @@ def page_folder(text: str) -> Path:
 def add_statistic(parser: Parser, whose: str) -> None:
     """Add ``--statistic``, ``--no-carry`` and ``--no-discount``; `insisted` reads them.
 
-    Args:
-        parser: of the command.
-        whose: as in "for all policies but amusic".
+    ``whose`` is as in "for all policies but amusic".
     """
     about = f"of SIC, {whose} (default: {SICSettings.statistic})"
     parser.add_argument("--statistic", choices=STATISTICS, help=about)
@@ -129,11 +140,7 @@ def correction_of(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def pairs(items: Sequence[str], what: str) -> dict[str, str]:
-    """``["A=1", "B=2"]`` as a dictionary, each name once.
-
-    Raises:
-        ValueError: for an item without ``=`` or a repeated name.
-    """
+    """``["A=1", "B=2"]`` as a dictionary, each name once."""
     result: dict[str, str] = {}
     for item in items:
         name, equals, value = item.partition("=")
@@ -148,13 +155,7 @@ def pairs(items: Sequence[str], what: str) -> dict[str, str]:
 def by_technique(items: Sequence[str], names: Sequence[str], what: str) -> dict[str, str]:
     """NAME=VALUE of techniques, by the techniques' own spelling.
 
-    Args:
-        items: NAME in upper or lower case, and a class also without its module.
-        names: of the techniques: names, or ``package.module:Class``.
-        what: the option that they were given for.
-
-    Raises:
-        ValueError: as `pairs`, and for a name that is no technique's.
+    A technique is named in upper or lower case, and a class also without its module.
     """
     known = {name.rpartition(":")[2].casefold(): name for name in names}
     known |= {name.casefold(): name for name in names}
@@ -167,11 +168,7 @@ def by_technique(items: Sequence[str], names: Sequence[str], what: str) -> dict[
 
 
 def numbers(values: Mapping[str, str], what: str) -> dict[str, float]:
-    """The values as numbers.
-
-    Raises:
-        ValueError: for one that is none, naming the option ``what``.
-    """
+    """The values as numbers."""
     found = {}
     for name, text in values.items():
         try:

@@ -12,13 +12,7 @@ from amusic_gym.evaluation.contestants import COMPUTE_WEIGHTS, MOST_TECHNIQUES
 
 
 def add_policies(parser: Parser, whose: str, most_weights: str = "") -> None:
-    """Add the banks, the policies and how they are run.
-
-    Args:
-        parser: of the command.
-        whose: policies that take ``--statistic``, as in "for all policies but amusic".
-        most_weights: how many ``--compute-weight`` there may be, for its help.
-    """
+    """Add the banks, the policies and how they are run."""
     parser.add_shared("--bank", required=True)
     parser.add_shared("--policy", **MANY)
     parser.add_shared("--out", type=page_folder, metavar="DIR")
@@ -37,11 +31,6 @@ def add_policies(parser: Parser, whose: str, most_weights: str = "") -> None:
 
 
 def banks_of(args: argparse.Namespace) -> list[ScoreBank]:
-    """The banks of ``--bank``, whole, with the costs of ``--costs``.
-
-    Raises:
-        FileNotFoundError: for a folder that is not there.
-        ValueError: for a damaged bank, or techniques that the cost model has no time for.
-    """
+    """The banks of ``--bank``, whole, with the costs of ``--costs``."""
     banks = [ScoreBank.load(folder, verify=True) for folder in args.bank]
     return [bank.with_costs(args.costs) if args.costs else bank for bank in banks]

@@ -77,19 +77,7 @@ def reference_rewards(
     progress: bool = True,
     **how: Any,
 ) -> dict[str, NDArray[np.float64]]:
-    """Rewards per frame of each policy, (2, B, L): by p̂, and by what is true.
-
-    Args:
-        policies: what makes them.
-        banks: the routes.
-        weights: the λ.
-        seed: of policies that draw.
-        progress: whether to show a progress bar.
-        how: ``statistic``, ``carry``, ``discount``, of policies that have none of their own.
-
-    Raises:
-        ValueError: for a policy that is unknown, or drives no environment.
-    """
+    """Rewards per frame of each policy, (2, B, L): by p̂, and by what is true."""
     from amusic_agents.evaluation import measure
     from amusic_baselines import make_policy
     from tqdm import tqdm
@@ -122,13 +110,7 @@ def reference_rewards(
 def tables(
     found: dict[str, NDArray[np.float64]], weights: Sequence[float], frames: float
 ) -> list[Table]:
-    """Mean rewards over the routes by λ, then what of them is true.
-
-    Args:
-        found: what `reference_rewards` gives.
-        weights: the λ.
-        frames: of a route, in the mean.
-    """
+    """Mean rewards over the routes by λ, then what of them is true."""
     from amusic_gym.evaluation.tables import Table
 
     heads = ["policy", *(f"λ {weight:g}" for weight in weights)]

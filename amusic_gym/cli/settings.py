@@ -118,12 +118,7 @@ def _value(text: str) -> float | str | tuple[float, ...]:
 
 
 def settings_of(args: argparse.Namespace) -> TrainingConfig:
-    """The algorithm's defaults, with what ``--config`` and then the options say.
-
-    Raises:
-        FileNotFoundError: if the file is missing.
-        ValueError: if it is damaged, or for a setting that is unknown, refused or of no use.
-    """
+    """The algorithm's defaults, with what ``--config`` and then the options say."""
     from amusic_agents.config import training_config, with_leaves, with_values
 
     given = given_settings(args)
@@ -138,15 +133,7 @@ def settings_of(args: argparse.Namespace) -> TrainingConfig:
 
 
 def refuse_unused(algorithm: str, names: Iterable[str]) -> None:
-    """Refuse settings of other algorithms.
-
-    Args:
-        algorithm: that trains.
-        names: of settings, as of ``leaves``.
-
-    Raises:
-        ValueError: for the first that it has no use for.
-    """
+    """Refuse settings of other algorithms."""
     from amusic_agents.config import USED_BY
 
     for name in names:
@@ -167,16 +154,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def refuse_others(given: Mapping[str, Any], base: TrainingConfig, out: Path) -> None:
-    """Refuse settings that are not those of the training to resume; some may be others.
-
-    Args:
-        given: by name as of ``leaves``.
-        base: what was trained.
-        out: its run folder.
-
-    Raises:
-        ValueError: for the first other one.
-    """
+    """Refuse settings that are not those of the training to resume; some may be others."""
     from amusic_agents.config import leaves, plain
 
     own = leaves(base)

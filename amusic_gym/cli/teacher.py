@@ -48,21 +48,13 @@ GRID: tuple[Parameters, ...] = (
 
 
 class Choice(NamedTuple):
-    """The cascade for a λ, and what it reached there.
+    """The cascade for a λ, and what it reached there."""
 
-    Attributes:
-        compute_weight: λ.
-        parameters: of the cascade.
-        score: correct − λ · compute per frame, with true correctness.
-        accuracy: share of frames with a true place.
-        compute: seconds / (frames · Σ seconds).
-    """
-
-    compute_weight: float
-    parameters: Parameters
-    score: float
-    accuracy: float
-    compute: float
+    compute_weight: float  # λ
+    parameters: Parameters  # of the cascade
+    score: float  # correct − λ · compute per frame, with true correctness
+    accuracy: float  # share of frames with a true place
+    compute: float  # seconds / (frames · Σ seconds)
 
 
 def make_teacher(
@@ -72,19 +64,9 @@ def make_teacher(
     resume: bool = False,
     routes: int = ROUTES,
     grid: Sequence[Parameters] = GRID,
+    progress: bool = True,
 ) -> ByWeight:
-    """The teacher of a run: chosen, and written to its ``teacher.json``.
-
-    Args:
-        out: the imitation's run folder.
-        config: of the imitation.
-        resume: take the teacher of the file, if there is one.
-        routes: simulated routes to choose on.
-        grid: what is tried.
-
-    Raises:
-        ValueError: for a damaged ``teacher.json``.
-    """
+    """The teacher of a run: chosen, and written to its ``teacher.json``."""
     path = out / FILE
     low, high = config.compute_weights
     if resume and path.exists():
@@ -92,7 +74,8 @@ def make_teacher(
     else:
         _, middles = partition((low, high), PARTS if low < high else 1)
         how: dict[str, Any] = {"statistic": config.statistic, "environment": config.environment()}
-        choices = choose_cascades(teacher_routes(config, routes), middles, grid=grid, **how)
+        drawn = teacher_routes(config, routes)
+        choices = choose_cascades(drawn, middles, grid=grid, progress=progress, **how)
         rows = [
             {**choice._asdict(), "parameters": choice.parameters._asdict()} for choice in choices
         ]
@@ -119,15 +102,8 @@ def choose_cascades(
 ) -> list[Choice]:
     """The cascade of the highest score for each λ; among equals the first of the grid.
 
-    A cascade does not look at λ, so each drives every route once.
-
-    Args:
-        banks: routes with ground truth; correctness is the true one, not p̂.
-        weights: the λ.
-        statistic: SIC's statistic.
-        environment: how SIC works besides; None: as the statistic has it.
-        grid: what is tried.
-        progress: whether to show a progress bar.
+    A cascade does not look at λ, so each drives every route once. Correctness is the true one, not
+    p̂.
     """
     jobs = [Job(bank) for bank in banks]
     options = {"statistic": statistic, **(environment or {})}

@@ -46,15 +46,7 @@ def learn(
     resume: bool = False,
     **options: Any,
 ) -> None:
-    """Train with the configuration's algorithm, after choosing a teacher where it needs one.
-
-    Args:
-        out: the run folder.
-        config: how.
-        banks: folders of banks to train on; none: simulated routes.
-        resume: go on from the folder's last checkpoint.
-        options: others of `amusic_agents.training.train`.
-    """
+    """Train with the configuration's algorithm, after choosing a teacher where it needs one."""
     from amusic_agents.training import IMITATION, refuse_used, train
 
     from amusic_gym.cli.teacher import make_teacher
@@ -64,7 +56,8 @@ def learn(
         if not resume:  # choosing the teacher takes a while
             refuse_used(out)
         folder = out if config.algorithm == "imitation" else out / IMITATION
-        teacher = make_teacher(folder, config, resume=resume)
+        shown = options.get("progress", True)
+        teacher = make_teacher(folder, config, resume=resume, progress=shown)
     train(out, config, banks=banks, teacher=teacher, resume=resume, **options)
 
 

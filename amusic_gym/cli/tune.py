@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,8 @@ from amusic_gym.cli.settings import add_settings, given_settings, refuse_unused,
 
 if TYPE_CHECKING:
     from amusic_agents.config import TrainingConfig
-    from amusic_agents.tuning import Learn, Space
+    from amusic_agents.trials import Learn
+    from amusic_agents.tuning import Space
 
 
 def add_arguments(parser: Parser) -> None:
@@ -30,6 +32,21 @@ def add_arguments(parser: Parser) -> None:
     about = "what is searched (default: by the algorithm, amusic_agents.tuning.SPACES)"
     add("--space", **MANY, metavar="NAME=VALUES", help=about)
     add("--bank", action="append", default=[], help="train on this bank (repeat)")
+    add(
+        "--seeds",
+        type=int,
+        metavar="N",
+        help="trainings of a trial, from --seed on; with several the mean of their scores counts,"
+        " and none is pruned (default: 1)",
+    )
+    add(
+        "--at-once",
+        type=int,
+        default=1,
+        metavar="N",
+        help="trials that are drawn together and may be trained side by side (default: 1)",
+    )
+    parser.add_shared("--executor")
     add(
         "--resume",
         action="store_true",
@@ -42,38 +59,50 @@ def main(args: argparse.Namespace) -> None:
     """Search, say what every trial reached, and where the best settings are."""
     from amusic_agents.tuning import BEST, SPACES, tune
 
-    from amusic_gym.utils.checks import whole
-
     config, space = None, None
     if args.resume:
-        given = {**given_settings(args), "space": args.space, "config": args.config}
+        own = {"space": args.space, "config": args.config, "seeds": args.seeds}
+        given = {**given_settings(args), **own}
         for name in (name for name, value in given.items() if value):
             raise ValueError(f"{name} is the study's own when it is resumed; leave it out")
     else:
         config = settings_of(args)
         space = as_space(args.space, config) if args.space else SPACES[config.algorithm]
         refuse_unused(config.algorithm, space)
-    trials = whole("--trials", args.trials, 1)
-    tune(args.out, config, trials=trials, space=space, banks=args.bank, learn=learner)
+    tune(
+        args.out,
+        config,
+        trials=args.trials,
+        space=space,
+        banks=args.bank,
+        seeds=1 if args.seeds is None else args.seeds,
+        at_once=args.at_once,
+        executor=args.executor,
+        learn=learner,
+    )
     print(f"The best settings are in {args.out / BEST}; train with --config {args.out / BEST}")
 
 
-def learner(banks: Sequence[str]) -> Learn:
+def learner(banks: Sequence[str], progress: bool) -> Learn:
     """What trains on these banks, with a teacher where the algorithm needs one."""
+    return partial(_learn, tuple(banks), progress)
+
+
+def _learn(
+    banks: Sequence[str],
+    progress: bool,
+    out: Path,
+    config: TrainingConfig,
+    resume: bool,
+    evaluated: Callable[..., Any],
+) -> None:
     from amusic_gym.cli.train import learn
 
-    def run(out: Path, config: TrainingConfig, resume: bool, evaluated: Callable[..., Any]) -> None:
-        learn(out, config, banks, resume, evaluated=evaluated)
-
-    return run
+    learn(out, config, banks, resume, evaluated=evaluated, progress=progress)
 
 
 def as_space(items: Sequence[str], config: TrainingConfig) -> Space:
-    """``["entropy=1e-4:0.1:log", "epochs=2,4"]`` as what is searched.
-
-    Raises:
-        ValueError: for an unknown setting, or values of another form.
-    """
+    """``["entropy=1e-4:0.1:log", "epochs=2,4"]`` as what is searched."""
     from amusic_agents.config import leaves
     from amusic_agents.tuning import Range
 

@@ -103,6 +103,7 @@ class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.i
     | since_confirmed | squash of the frames since a technique that ran confirmed the prediction |
     | track | squash of a tenth of the frames in a row on which the prediction continued |
     | supported | how far another technique supports the prediction, see below; 0 with `belief` |
+    | on_map | probability of being on the map, by how rows looked lately against what is usual |
 
     A technique's *weight* is what MuSIC multiplies its statistic by, √((1 − ρ) / (1 + ρ)) with ρ
     the correlation of its neighbouring rows; 1 without `discount`. The route's *margin* is between
@@ -159,9 +160,9 @@ class TechniqueSelectionEnv(Specified, gym.Env[NDArray[np.float32], NDArray[np.i
     ```
 
     ## Version History
-    * v0: may change until release 1.0.0. The observation is of version 4: confirms, confirmation,
-      support_usual and dissent of each technique, and logit, since_confirmed, track and supported
-      of the route, came at the end of their groups. The default statistic went from `belief` to
+    * v0: may change until release 1.0.0. The observation is of version 6: on_map of the route
+      came, and p̂ falls off the map; of version 5: p_steady, log_likelihood and its mean took the
+      place of three entries of an earlier belief. The default statistic went from `belief` to
       `evidence`, with carried candidates and the discount.
     """
 

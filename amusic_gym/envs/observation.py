@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.estimation.batch import RouteState, SlotState
+from amusic_gym.estimation.prediction import sigmoid
 from amusic_gym.estimation.settings import COMPUTE_WEIGHT_RANGE
 from amusic_gym.kernels.compiling import inner
 
-VERSION = 5
+VERSION = 6
 """Rises whenever the meaning or the order of an entry changes; trained runs store it."""
 
 TECHNIQUE_FEATURES = (
@@ -62,6 +63,7 @@ ROUTE_FEATURES = (
     "since_confirmed",
     "track",
     "supported",
+    "on_map",
 )
 
 SQUASH_HALF = 4.0
@@ -136,6 +138,7 @@ def observe_route(route: RouteState, out: NDArray[np.float32]) -> None:
     out[17] = squash(route.since_confirmed)
     out[18] = squash(route.track)
     out[19] = route.support
+    out[20] = sigmoid(route.on_map)
 
 
 @inner

@@ -51,8 +51,8 @@ class RouteState(Record):
     agreeing: float  # share of techniques whose diagonal is the fused one
     since_confirmed: float  # frames since a technique that ran confirmed the prediction
     since_doubt: float
+    on_map: float  # log-odds of the robot being on the map
     # SIC.
-    recent: float  # running mean of the similarity where something ran
     heard: float  # how much another technique than the chosen one has a say
     support: float  # ... and says the same
     # Belief.
@@ -94,6 +94,7 @@ class SlotState(Record):
     support_usual: float  # slow running mean
     confirms: float  # 1 if the last row's own best place is the fused one
     confirmation: float  # running mean of confirms over the runs
+    confirmation_usual: float  # slow running mean
     # SIC.
     rival: float  # statistic of the technique's own best rival, -inf: none
     likeness: float  # correlation of its row with the chosen one's on the same frame

@@ -1,9 +1,9 @@
 """Estimated correctness p̂: a calibrated function of statistic and margin.
 
 The coefficients were fitted on simulated routes only, by ``scripts/calibrate.py``, and are read
-from ``calibration.json``. The compiled twins of :func:`design`, :func:`belief_design` and the
-logistic function are ``estimate_correctness`` of SIC and ``estimate`` of the belief; tests hold
-them equal.
+from ``calibration.json``. The compiled twins of :func:`design`, :func:`belief_design`,
+:func:`map_design` and the logistic function are ``estimate_correctness`` of SIC and of the belief;
+tests hold them equal.
 """
 
 from __future__ import annotations
@@ -28,29 +28,28 @@ def stored() -> dict[str, Any]:
     return table
 
 
-UNCALIBRATED = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
+UNCALIBRATED = np.array([0.0, 1.0, 0.0, 0.0, 0.0, 30.0, 0.0])
 """Coefficients with which the belief is taken at its word: p̂ is the belief itself."""
 
 
 def coefficients(statistic: str) -> NDArray[np.float64]:
-    """Coefficients of the calibration for a statistic: (13,) for SIC's, (5,) for the belief.
+    """Coefficients of the calibration for a statistic: (13,) for SIC's, (7,) for the belief.
 
     ``mean`` and ``evidence``: p̂ = σ(b₀ + b₁s + b₂t + b₃h + b₄u + b₅m) · σ(b₆ + b₇r) where the fused
     winner has a rival beyond the tolerance, and σ(b₈ + b₉s + b₁₀t) · σ(b₁₁ + b₁₂r) where it has
-    none; σ is the logistic function.
+    none; σ is the logistic function. ``belief``: p̂ = σ(b₀ + b₁o + b₂m + b₃l + b₄a) · σ(b₅ + b₆r).
 
-    The first factor is of the whole drive: s = asinh(statistic), discounted, m = asinh(margin),
-    t = log(1 + frames in a row on which the prediction moved on by one place); h ∈ [0, 1] is how
-    much another technique has a say, u how much one says the same (``weigh_others`` in
-    :mod:`amusic_gym.estimation.sic.update`). The second is of late: r = asinh of the running mean,
-    over the frames on which something ran, of the similarity, the z-score of the prediction in the
-    row of the technique trusted. It falls where the robot leaves the map after a long good drive,
-    whose statistic lasts.
+    The first factor is that the place is right on the map. Of SIC: s = asinh(statistic),
+    discounted, m = asinh(margin), t = log(1 + frames in a row on which the prediction moved on by
+    one place); h ∈ [0, 1] is how much another technique has a say, u how much one says the same
+    (``weigh_others`` in :mod:`amusic_gym.estimation.sic.update`). Of the belief: o is the log-odds
+    of what it holds within the tolerance of the prediction, m the logarithm of its ratio to what it
+    holds around the best rival, l the log-likelihood that the frame's rows gave the prediction
+    together, and a the running mean over the frames of what each row gave it.
 
-    ``belief``: logit p̂ = b₀ + b₁s + b₂m + b₃l + b₄a. Here s is the log-odds of the belief within
-    the tolerance of the prediction, m the logarithm of its ratio to the belief around the best
-    rival, l the log-likelihood that the frame's rows gave the prediction together, and a the
-    running mean over the frames of what each row gave it.
+    The second is that the robot is on the map at all: r is the log-odds of that (``locate`` in
+    :mod:`amusic_gym.estimation.prediction`). It falls within a few frames where nothing looks as it
+    usually does, however long a good drive lies behind.
     """
     entry = stored()["coefficients"][statistic]
     return np.array([number for part in entry.values() for number in part], np.float64)
@@ -74,9 +73,9 @@ def design(
     return np.stack(columns, axis=-1)
 
 
-def recent_design(recent: ArrayLike) -> NDArray[np.float64]:
-    """Inputs (n, 2) of the second factor, of running means (n,) of the similarity."""
-    r = np.arcsinh(np.asarray(recent, np.float64))
+def map_design(log_odds: ArrayLike) -> NDArray[np.float64]:
+    """Inputs (n, 2) of the second factor, of log-odds (n,) of being on the map."""
+    r = np.asarray(log_odds, np.float64)
     return np.stack([np.ones_like(r), r], axis=-1)
 
 
@@ -86,7 +85,7 @@ def belief_design(
     log_likelihood: ArrayLike,
     log_likelihood_mean: ArrayLike,
 ) -> NDArray[np.float64]:
-    """Inputs (n, 5) of the belief's logit; all are logarithms already."""
+    """Inputs (n, 5) of the belief's first factor; all are logarithms already."""
     columns = log_odds, log_ratio, log_likelihood, log_likelihood_mean
     return np.stack([np.ones(np.shape(log_odds)), *columns], axis=-1)
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.banks.rows import deviation, mean_at, row_at, scale_at, top_at
-from amusic_gym.estimation.batch import Batch, RouteState
+from amusic_gym.estimation.batch import Batch, RouteState, SlotState
 from amusic_gym.kernels.compiling import compiled, inner
 
 SMOOTHING = 0.2
@@ -34,6 +34,27 @@ decays.
 
 DOUBT = 0.5
 """A frame with p̂ below this is one of doubt."""
+
+LEAVES, RETURNS = 0.01, 0.02
+"""Probability per frame of leaving the map, and of coming back."""
+
+LEAST_USUAL = 0.5
+"""A place has at least this similarity to be told from places off the map."""
+
+CONFIRMED_PRIOR, CONFIRMED_PRIOR_RUNS = 0.3, 3.0
+"""Share of confirming runs before the first, and the number of runs that it is worth."""
+
+MOST_CONFIRMED, LEAST_ABOVE_CHANCE = 0.95, 0.02
+"""Bounds of the share of confirming runs on the map: the second above that off the map."""
+
+MOST_SAID = 4.0
+"""Bound on the log-likelihood ratio of a similarity, and on that of a row's best place."""
+
+SAID_SHARE = 0.5
+"""Weight of the two: neighbouring rows, and the two of one row, repeat each other."""
+
+SURE_OF_MAP = 12.0
+"""Bound on the log-odds of being on the map."""
 
 
 @inner
@@ -110,10 +131,42 @@ def predict_only(route: RouteState) -> None:
 
 
 @inner
+def map_likelihood(slot: SlotState, route: RouteState) -> float:
+    """Log-likelihood ratio of a run's row: at the prediction to off the map.
+
+    Of the similarity: unit normal about what is usual for the technique, or about 0. Of the row's
+    own best place: at the prediction as often as usual, or by chance.
+    """
+    usual = max(slot.support_usual, LEAST_USUAL)
+    support = usual * (slot.support - 0.5 * usual)
+    chance = min((2.0 * route.tolerance + 1.0) / route.references, 0.5)
+    runs = min(slot.runs, 1.0 / USUAL_SMOOTHING)
+    share = CONFIRMED_PRIOR * CONFIRMED_PRIOR_RUNS + runs * slot.confirmation_usual
+    share /= CONFIRMED_PRIOR_RUNS + runs
+    share = min(max(share, chance + LEAST_ABOVE_CHANCE), MOST_CONFIRMED)
+    confirmed = share / chance if slot.confirms > 0.0 else (1.0 - share) / (1.0 - chance)
+    said: float = min(max(support, -MOST_SAID), MOST_SAID)
+    return SAID_SHARE * (said + min(max(math.log(confirmed), -MOST_SAID), MOST_SAID))
+
+
+@inner
+def locate(route: RouteState, most: float, least: float) -> None:
+    """Update the log-odds of being on the map by the strongest ratios for it and against it.
+
+    Not by all of them: a copy of a technique has no say of its own.
+    """
+    stays = sigmoid(route.on_map)
+    stays = stays * (1.0 - LEAVES) + (1.0 - stays) * RETURNS
+    odds = logit_of(stays) + most + least
+    route.on_map = min(max(odds, -SURE_OF_MAP), SURE_OF_MAP)
+
+
+@inner
 def relate(batch: Batch, i: int, frame: int) -> None:
-    """Relate every technique's last run to the prediction (features of the observation)."""
+    """Relate every technique's last run to the prediction, and tell whether that is on the map."""
     slots, route = batch.slots[i], batch.routes[i]
     present, agreeing = 0, 0.0
+    most, least = 0.0, 0.0
     route.since_confirmed += 1.0
     for s in range(slots.size):
         slot = slots[s]
@@ -129,16 +182,21 @@ def relate(batch: Batch, i: int, frame: int) -> None:
             run = batch.runs[i, s]
             z = deviation(row_at(run, frame)[route.prediction], mean_at(run, frame)[0])
             slot.support = z * scale_at(run, frame)[0]
-            slot.support_mean += SMOOTHING * (slot.support - slot.support_mean)
+            near = abs(top_at(run, frame)[0] - route.prediction) <= route.tolerance
+            slot.confirms = 1.0 if near else 0.0
+            if scale_at(run, frame)[0] > 0.0:
+                said = map_likelihood(slot, route)
+                most, least = max(most, said), min(least, said)
             slot.runs += 1.0
             usual = max(USUAL_SMOOTHING, 1.0 / slot.runs)
             slot.support_usual += usual * (slot.support - slot.support_usual)
-            near = abs(top_at(run, frame)[0] - route.prediction) <= route.tolerance
-            slot.confirms = 1.0 if near else 0.0
+            slot.confirmation_usual += usual * (slot.confirms - slot.confirmation_usual)
+            slot.support_mean += SMOOTHING * (slot.support - slot.support_mean)
             slot.confirmation += SMOOTHING * (slot.confirms - slot.confirmation)
             if near:
                 route.since_confirmed = 0.0
             slot.agreement += SMOOTHING * (slot.agrees - slot.agreement)
+    locate(route, most, least)
     route.agreeing = agreeing / present
     route.similarity = slots[route.technique].support if route.technique >= 0 else 0.0
 

@@ -31,17 +31,11 @@ _ALIGNMENT = 64  # bytes: a cache line, and the widest registers
 
 @dataclass(frozen=True)
 class Images:
-    """The images of a traverse, or of a block of it.
+    """The images of a traverse, or of a block of it."""
 
-    Attributes:
-        paths: N files, in the order of the traverse.
-        digests: N digests of their contents.
-        changes: what is done to each once it is read, None where nothing is; () where nothing is
-            done to any.
-    """
-
-    paths: tuple[Path, ...]
-    digests: tuple[str, ...]
+    paths: tuple[Path, ...]  # N files, in the order of the traverse
+    digests: tuple[str, ...]  # N digests of their contents
+    # what is done to each once it is read, None where nothing is; () where nothing is done to any
     changes: tuple[Change | None, ...] = ()
 
     def __len__(self) -> int:
@@ -87,17 +81,11 @@ class Images:
 
 @dataclass(frozen=True)
 class Stored:
-    """A float32 array in a file; it pickles as its address.
+    """A float32 array in a file; it pickles as its address."""
 
-    Attributes:
-        path: the file.
-        offset: bytes before the first number, a multiple of 64.
-        shape: of the array.
-    """
-
-    path: Path
-    offset: int
-    shape: tuple[int, ...]
+    path: Path  # the file
+    offset: int  # bytes before the first number, a multiple of 64
+    shape: tuple[int, ...]  # of the array
 
     def array(self) -> NDArray[np.float32]:
         """The array, read-only; memory-mapped, so that only what is used is read."""
@@ -136,11 +124,7 @@ def describe_one(technique: Technique, image: Image, *, query: bool) -> Descript
 
 
 def describe_some(technique: Technique, images: Sequence[Image]) -> list[Descriptor]:
-    """Descriptors of several images, all at once, as :func:`describe_one` gives them.
-
-    Raises:
-        ValueError: as :func:`describe_one`.
-    """
+    """Descriptors of several images, all at once, as :func:`describe_one` gives them."""
     what = f"technique {technique.name!r}"
     given = guarded(what, technique, alone, technique.describe_batch, images)
     if len(given) != len(images):

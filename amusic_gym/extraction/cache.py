@@ -14,13 +14,14 @@ import tempfile
 import warnings
 from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO, Self
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.extraction.blocks import Stored
 from amusic_gym.utils import reading, storage
+from amusic_gym.utils.closing import Closing
 
 _DIGEST = 64  # bytes at the start; keeps the numbers aligned too
 _INCOMING = "incoming"
@@ -44,7 +45,7 @@ def default_cache() -> Path:
     return base / "amusic-gym"
 
 
-class Cache:
+class Cache(Closing):
     """A folder of entries, shared by any number of processes.
 
     Entries appear whole or not at all. What writers that were killed left behind is swept when
@@ -174,12 +175,6 @@ class Cache:
             warnings.warn(
                 f"{damaged} entries of the cache {self.folder} were damaged", stacklevel=2
             )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def _prepare(folder: Path) -> None:

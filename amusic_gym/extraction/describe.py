@@ -16,10 +16,11 @@ from amusic_gym.extraction.blocks import Images, Stored, check_shape
 from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.code import describes_queries_alike, identity, key_of
 from amusic_gym.extraction.progress import Progress
-from amusic_gym.extraction.shards import Advance, DescribeShard, MatchShard, S, Workers
+from amusic_gym.extraction.shards import Advance, DescribeShard, MatchShard, Workers
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.images import check_image, digest_of, lost_levels, read_bytes
 from amusic_gym.techniques.protocol import Technique
+from amusic_gym.utils.names import few
 
 _SAMPLE = 5  # images of a traverse whose grey levels are counted
 _NAMED = 5  # refused images that are named before they are only counted
@@ -50,10 +51,9 @@ def images_of(folder: ImageFolder) -> Images:
         except ValueError as error:
             refused.append(str(error))
     if refused:
-        more = f"; and {len(refused) - _NAMED} more" if len(refused) > _NAMED else ""
         count = f"{len(refused)} images cannot be used: " if len(refused) > 1 else ""
-        named = "; ".join(refused[:_NAMED])
-        raise ValueError(f"{count}{named}{more}; or go on without (--skip-damaged)")
+        named = few(refused, _NAMED, "; ")
+        raise ValueError(f"{count}{named}; or go on without (--skip-damaged)")
     if lost:
         warnings.warn(lost, UserWarning, stacklevel=2)
     return Images(paths, tuple(digests), folder.changes)
@@ -63,16 +63,6 @@ def images_of(folder: ImageFolder) -> Images:
 class ExtractionPlan:
     """One technique on one route, in blocks, and the keys of its results in the cache.
 
-    Args:
-        technique: the technique.
-        reference: the map's images.
-        query: the query's images.
-
-    Attributes:
-        references: blocks of the map.
-        queries: blocks of the query.
-        identity: all that results depend on besides the images.
-
     Raises:
         ValueError: when the technique's parameters are not plain values.
     """
@@ -80,9 +70,9 @@ class ExtractionPlan:
     technique: Technique
     reference: Images
     query: Images
-    references: Sequence[Images] = field(init=False)
-    queries: Sequence[Images] = field(init=False)
-    identity: dict[str, Any] = field(init=False)
+    references: Sequence[Images] = field(init=False)  # blocks of the map
+    queries: Sequence[Images] = field(init=False)  # blocks of the query
+    identity: dict[str, Any] = field(init=False)  # all that results depend on besides the images
 
     def __post_init__(self) -> None:
         self.references, self.queries = self.reference.blocks(), self.query.blocks()
@@ -113,16 +103,8 @@ def describe(
 ) -> list[Stored]:
     """Descriptors of one side's blocks, from the cache or computed.
 
-    Args:
-        plan: of the technique.
-        cache: where they are, and where new ones go as they are finished.
-        workers: for those that the cache lacks.
-        progress: gets a bar.
-        query: whether the queries or the map.
-        only: indices of the blocks that are wanted, rising; None: all.
-
-    Returns:
-        The wanted blocks.
+    ``query`` tells the side, ``only`` the indices of the blocks that are wanted, rising; None: all.
+    New ones go to the cache as they are finished.
 
     Raises:
         ValueError: for an image that cannot be read or described; for descriptors of different
@@ -148,10 +130,7 @@ def describe(
 
 
 def match(plan: ExtractionPlan, cache: Cache, workers: Workers, progress: Progress) -> int:
-    """Put the scores of all blocks into the cache; describe what that needs.
-
-    Returns:
-        How many pairs of a query and a reference had to be matched.
+    """Put the scores of all blocks into the cache; gives how many pairs had to be matched.
 
     Raises:
         ValueError: as :func:`describe`; for scores that are not finite numbers.
@@ -192,7 +171,7 @@ def score_rows(plan: ExtractionPlan, cache: Cache) -> Iterator[NDArray[np.float3
 
 
 def _compute(
-    shards: Iterable[S], cache: Cache, workers: Workers, advance: Advance
+    shards: Iterable[DescribeShard | MatchShard], cache: Cache, workers: Workers, advance: Advance
 ) -> Iterator[tuple[str, Stored]]:
     for shard, result in workers.run(shards, advance):
         yield shard.key, cache.put(shard.key, result)

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from amusic_gym.extraction.shards import Advance, Executor, S, Workers, nothing
-from amusic_gym.techniques.protocol import Technique
+from amusic_gym.extraction.shards import Advance, Executor, Held, S, Workers, nothing
 from amusic_gym.utils.names import suggest
 
 EXECUTORS = ("serial", "process:N", "ray", "ray:ADDRESS")
@@ -17,21 +14,19 @@ EXECUTORS = ("serial", "process:N", "ray", "ray:ADDRESS")
 
 @dataclass
 class _ThisProcess(Workers):
-    technique: Technique
+    held: Held
 
-    def run(
-        self, shards: Iterable[S], advance: Advance = nothing
-    ) -> Iterator[tuple[S, NDArray[np.float32]]]:
+    def run(self, shards: Iterable[S], advance: Advance = nothing) -> Iterator[tuple[S, Any]]:
         for shard in shards:
-            yield shard, shard.run(self.technique, advance)
+            yield shard, shard.run(self.held, advance)
 
 
 class Serial(Executor):
     """Runs shards in this process, one after the other."""
 
-    def workers(self, technique: Technique) -> Workers:
+    def workers(self, held: Held) -> Workers:
         """This process."""
-        return _ThisProcess(technique)
+        return _ThisProcess(held)
 
 
 def make_executor(name: str) -> Executor:
@@ -40,7 +35,7 @@ def make_executor(name: str) -> Executor:
     Args:
         name: ``serial``; ``process:N``, N processes of this machine; ``ray``, a Ray cluster on
             this machine or the one that this process is connected to; ``ray:ADDRESS``, that
-            cluster, whose workers must find the images under the same paths.
+            cluster, whose workers must find all files under the same paths.
 
     Raises:
         ValueError: for another name; for ``ray`` where Ray is not installed, with the command

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from amusic_gym.banks.descriptors import H5_KEY, DescriptorPair, from_h5, h5py_for
+from amusic_gym.banks.descriptors import H5_KEY, DescriptorPair, from_h5
 from amusic_gym.banks.ranking import TOP, highest
 from amusic_gym.extraction.cache import Cache
 from amusic_gym.extraction.code import describes_queries_alike
@@ -20,6 +20,7 @@ from amusic_gym.routes.image_headers import measure
 from amusic_gym.routes.images import read_bytes
 from amusic_gym.techniques import Technique
 from amusic_gym.utils.checks import whole
+from amusic_gym.utils.optional import optional
 from amusic_gym.utils.storage import replacing_file, write_whole
 
 
@@ -59,7 +60,7 @@ def save_descriptors(
             be read or described.
         OSError: when a file cannot be written.
     """
-    h5py = h5py_for("hloc's file of features")
+    h5py = optional("h5py", "hloc's file of features", "the package h5py", "hdf5")
     whole("top", top, 1)
     _check_global(technique, alone=query is None)
     check_apart(reference, query)

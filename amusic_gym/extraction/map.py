@@ -69,16 +69,10 @@ class DescribedMap:
         return describe_one(self.technique, image, query=True)
 
     def scores(self, query: Descriptor) -> NDArray[np.float32]:
-        """Scores of a query against the whole map, with the bits that a score bank has.
+        """Scores (R,) of a query against the whole map, with the bits that a score bank has.
 
         Blocks are matched on several Python threads, each on one thread of its libraries, so that
         their number changes nothing in the result.
-
-        Args:
-            query: what :meth:`describe_query` gave.
-
-        Returns:
-            (R,) float32.
 
         Raises:
             ValueError: when the technique gives something else than one finite number for each
@@ -138,9 +132,6 @@ def describe_map(
             memory-mapped, unless the cache cannot be written.
         threads: see :class:`DescribedMap`.
         progress: show a bar on a terminal, or one line elsewhere.
-
-    Returns:
-        The map, in blocks as extraction matches them.
 
     Raises:
         FileNotFoundError: for an image that is not there.

@@ -39,19 +39,12 @@ FILES = frozenset(
 
 @dataclass(frozen=True)
 class DescribedBy:
-    """What a technique's descriptors in a map depend on, and what a run cost where it was made.
+    """What a technique's descriptors in a map depend on, and what a run cost where it was made."""
 
-    Attributes:
-        spec: as `make_technique` takes it.
-        weights: the file that it was given; None: what ships, or none.
-        seconds: of one run against the whole map.
-        identity: see :func:`amusic_gym.extraction.code.identity`.
-    """
-
-    spec: str
-    weights: str | None
-    seconds: float
-    identity: Mapping[str, Any]
+    spec: str  # as `make_technique` takes it
+    weights: str | None  # the file that it was given; None: what ships, or none
+    seconds: float  # of one run against the whole map
+    identity: Mapping[str, Any]  # see :func:`amusic_gym.extraction.code.identity`
 
     @property
     def name(self) -> str:
@@ -61,27 +54,17 @@ class DescribedBy:
 
 @dataclass(frozen=True)
 class MapContents:
-    """All that a map's folder holds; arrays of descriptors stay on disk.
+    """All that a map's folder holds; arrays of descriptors stay on disk."""
 
-    Attributes:
-        name: of the map.
-        techniques: T of them.
-        descriptors: of each technique, its blocks of up to ``BLOCK`` places.
-        thumbnails: R of them.
-        names: R names of images.
-        parts: lengths of the traverses that the map is joined of.
-        positions: R of them; None where they are not known.
-        digest: of all that; "" before it is written.
-    """
-
-    name: str
-    techniques: Sequence[DescribedBy]
+    name: str  # of the map
+    techniques: Sequence[DescribedBy]  # T of them
+    # of each technique, its blocks of up to ``BLOCK`` places
     descriptors: Sequence[Sequence[Stored | Descriptor]]
-    thumbnails: Thumbnails
-    names: Sequence[str]
-    parts: Sequence[int]
-    positions: Positions | None
-    digest: str = ""
+    thumbnails: Thumbnails  # R of them
+    names: Sequence[str]  # R names of images
+    parts: Sequence[int]  # lengths of the traverses that the map is joined of
+    positions: Positions | None  # R of them; None where they are not known
+    digest: str = ""  # of all that; "" before it is written
 
 
 def check_destination(path: Path) -> None:
@@ -128,9 +111,7 @@ def write(path: Path, contents: MapContents) -> None:
 def read(path: Path, *, verify: bool) -> MapContents:
     """What a map's folder holds, checked to agree; descriptors are not read.
 
-    Args:
-        path: the folder.
-        verify: also compare the checksums of all files, which reads them.
+    ``verify`` compares the checksums of all files, too, which reads them.
 
     Raises:
         FileNotFoundError: when the folder or a file in it is missing.

@@ -28,12 +28,11 @@ from amusic_gym.extraction.seconds import known_cost, measure_cost
 from amusic_gym.extraction.thumbnails import Thumbnails
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.positions import Positions
-from amusic_gym.techniques import Descriptor, Image, Technique, make_technique
+from amusic_gym.techniques import Image, Technique, make_technique
 from amusic_gym.utils import storage
 from amusic_gym.utils.names import suggest
 
 _TIMED = 5  # images that a technique is timed with
-_READ_ATTEMPTS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,19 +88,16 @@ class PlaceMap:
                 parameters, weights or code are others than those that described the map.
         """
         path = Path(path)
-        for _ in range(_READ_ATTEMPTS):
-            with storage.opened_folder(path) as folder:
-                try:
-                    contents = map_files.read(path, verify=verify)
-                    made = _techniques(path, contents.techniques, techniques, weights or {})
-                    found = cls._of(path, contents, made, threads)
-                except (FileNotFoundError, ValueError):
-                    if not storage.was_replaced(path, folder):
-                        raise
-                    continue
-                if not storage.was_replaced(path, folder):  # else: once more, from the new one
-                    return found
-        raise ValueError(f"map {path} is being rewritten all the time; load it when that is over")
+
+        def read(folder: int) -> PlaceMap:
+            contents = map_files.read(path, verify=verify)
+            made = _techniques(path, contents.techniques, techniques, weights or {})
+            found = cls._of(path, contents, made, threads)
+            if storage.was_replaced(path, folder):
+                raise FileNotFoundError(path)
+            return found
+
+        return storage.read_whole(path, "map", read)
 
     @classmethod
     def _of(
@@ -211,19 +207,8 @@ def append_to_map(
 ) -> Path:
     """Add the places of another traverse behind those of a map, described by its techniques.
 
-    Args:
-        path: of the map, which is written anew.
-        images: see `build_map`.
-        weights: see `PlaceMap.load`.
-        positions: of the images, where the map has positions.
-        cache: see `build_map`.
-        executor: likewise.
-        progress: likewise.
-
-    Raises:
-        FileNotFoundError: as `PlaceMap.load` and `build_map`.
-        ValueError: likewise; for positions where the map has none, or the other way round.
-        OSError: when the map cannot be written; it is as it was.
+    Arguments and errors are those of `build_map` and `PlaceMap.load`. The map is written anew, with
+    positions where it has some.
     """
     path = Path(path)
     there = map_files.read(path, verify=True)  # else new checksums would vouch for damage
@@ -240,7 +225,7 @@ def append_to_map(
         map_files.joined(pair) for pair in zip(there.descriptors, described.blocks, strict=True)
     ]
     costs = [
-        measure_cost(one, described.samples, [aligned(each) for each in held[:1]], _places(held))
+        measure_cost(one, described.samples, [aligned(held[0])], sum(map(len, held)))
         for one, held in zip(made, blocks, strict=True)
     ]
     about = [
@@ -300,10 +285,6 @@ class _Described:
             thumbnails = Thumbnails.of(images, advance)
         samples = [images.read(at) for at in range(min(_TIMED, len(images)))]
         return cls(blocks, costs, thumbnails, samples)
-
-
-def _places(blocks: Sequence[Descriptor]) -> int:
-    return sum(map(len, blocks))
 
 
 def _made(given: str | Technique, weights: Mapping[str, Path]) -> tuple[str, Technique]:

@@ -17,12 +17,17 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from amusic_gym.extraction.shards import ATTEMPTS, Advance, Executor, S, Shard, Workers, nothing
+from amusic_gym.extraction.shards import (
+    ATTEMPTS,
+    Advance,
+    Executor,
+    Held,
+    S,
+    Shard,
+    Workers,
+    nothing,
+)
 from amusic_gym.techniques.own_code import told
-from amusic_gym.techniques.protocol import Technique
 
 _GONE = (EOFError, OSError)  # what a pipe raises whose other end died, also in mid-message
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -32,58 +37,55 @@ _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 class Processes(Executor):
     """Runs shards in ``count`` processes, which start as they are needed.
 
-    They are spawned, so a technique's class must be in a module that they can import, and a
+    They are spawned, so the class of what they hold must be in a module that they can import, and a
     script must start its work under ``if __name__ == "__main__":``.
     """
 
     count: int
 
-    def workers(self, technique: Technique) -> _ProcessWorkers:
-        """Processes that hold the technique; see :func:`dumped`."""
-        return _ProcessWorkers(self.count, dumped(technique))
+    def workers(self, held: Held) -> _ProcessWorkers:
+        """Processes that hold a copy; see :func:`dumped`."""
+        return _ProcessWorkers(self.count, dumped(held))
 
 
-def dumped(technique: Technique) -> bytes:
-    """The technique as workers get it.
+def dumped(held: Held) -> bytes:
+    """What workers hold, as they get it.
 
     Raises:
         ValueError: when it does not pickle.
     """
     try:
-        return pickle.dumps(technique)
+        return pickle.dumps(held)
     except Exception as error:  # anything in a user's class
         raise ValueError(
-            f"technique {technique.name!r} does not pickle ({told(error)}); define its class "
+            f"{held.name!r} does not pickle ({told(error)}); define its class "
             "at the top of a module, or use the executor 'serial'"
         ) from error
 
 
-def loaded(data: bytes) -> Technique:
-    """The technique in a worker.
+def loaded(data: bytes) -> Any:
+    """What a worker holds.
 
     Raises:
         ValueError: when its class is not found there.
     """
     try:
-        technique: Technique = pickle.loads(data)
+        return pickle.loads(data)
     except (Exception, SystemExit) as error:  # whatever importing a user's module raises
         raise ValueError(
-            f"a worker cannot load the technique ({told(error)}); define its class in a module "
-            "that workers can import, or use the executor 'serial'"
+            f"a worker cannot load what it is to hold ({told(error)}); define its class in a "
+            "module that workers can import, or use the executor 'serial'"
         ) from error
-    return technique
 
 
 class _ProcessWorkers(Workers):
-    def __init__(self, count: int, technique: bytes) -> None:
+    def __init__(self, count: int, held: bytes) -> None:
         self._count = count
-        self._technique = technique
+        self._held = held
         self._idle: list[_Worker] = []
         self._busy: dict[Connection, tuple[_Worker, Any, int]] = {}  # with shard and attempt
 
-    def run(
-        self, shards: Iterable[S], advance: Advance = nothing
-    ) -> Iterator[tuple[S, NDArray[np.float32]]]:
+    def run(self, shards: Iterable[S], advance: Advance = nothing) -> Iterator[tuple[S, Any]]:
         waiting = iter(shards)
         while True:
             while len(self._busy) < self._count and (shard := next(waiting, None)) is not None:
@@ -108,7 +110,7 @@ class _ProcessWorkers(Workers):
                 yield shard, answer
 
     def _give(self, shard: Shard, attempt: int) -> None:
-        worker = self._idle.pop() if self._idle else _Worker(self._technique)
+        worker = self._idle.pop() if self._idle else _Worker(self._held)
         self._busy[worker.connection] = worker, shard, attempt
         with contextlib.suppress(*_GONE):  # it died: `run` will notice when it listens
             worker.connection.send(shard)
@@ -130,17 +132,17 @@ def _given_up(worker: _Worker, shard: Shard) -> ChildProcessError:
     how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
     return ChildProcessError(
         f"{shard}: {ATTEMPTS} workers died of it, the last by {how}; if memory ran out, use "
-        "fewer processes; what was finished is in the cache"
+        "fewer processes; what was finished is kept"
     )
 
 
 class _Worker:
     """One process and the pipe to it."""
 
-    def __init__(self, technique: bytes) -> None:
+    def __init__(self, held: bytes) -> None:
         context = multiprocessing.get_context("spawn")
         self.connection, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, technique), daemon=True)
+        self.process = context.Process(target=_serve, args=(theirs, held), daemon=True)
         with _interrupts_held_back():
             self.process.start()
         theirs.close()
@@ -165,14 +167,14 @@ def _interrupts_held_back() -> Iterator[None]:
 def _serve(connection: Connection, data: bytes) -> None:
     """A worker's loop, until its pipe is closed."""
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])  # by which it is stopped
-    technique: Technique | None = None
+    held: Any = None
     with contextlib.suppress(*_GONE):
         while True:
             shard: Shard = connection.recv()
             answer: Any
             try:
-                technique = technique or loaded(data)
-                answer = shard.run(technique)
+                held = held or loaded(data)
+                answer = shard.run(held)
             except Exception as error:  # whatever it is, it belongs to whoever asked
                 answer = _sendable(error)
             connection.send(answer)

@@ -5,17 +5,14 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 
+@dataclass(frozen=True)
 class Progress:
-    """Says how far a long piece of work is.
+    """Says how far a long piece of work is."""
 
-    Args:
-        shown: False: say nothing.
-    """
-
-    def __init__(self, shown: bool = False) -> None:
-        self.shown = shown
+    shown: bool = False  # False: say nothing
 
     @contextlib.contextmanager
     def bar(self, title: str, total: int | None, unit: str) -> Iterator[Callable[[int], object]]:

@@ -11,14 +11,12 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from amusic_gym.extraction.processes import dumped, loaded
 from amusic_gym.extraction.shards import (
     ATTEMPTS,
     Advance,
     Executor,
+    Held,
     MatchShard,
     S,
     Shard,
@@ -26,14 +24,14 @@ from amusic_gym.extraction.shards import (
     array_of,
     nothing,
 )
-from amusic_gym.techniques.protocol import Technique
+from amusic_gym.utils.optional import optional
 
 
 class RayCluster(Executor):
     """Runs shards as Ray tasks, one processor each.
 
-    Workers must be able to import the technique's class and read the images under the same paths;
-    the cache is read and written by this process only.
+    Workers must be able to import the class of what they hold, and find images, banks and run
+    folders under the same paths; an extraction's cache is read and written by this process only.
 
     Args:
         address: of a running cluster; None: the one that this process is connected to, or else a
@@ -44,19 +42,13 @@ class RayCluster(Executor):
     """
 
     def __init__(self, address: str | None = None) -> None:
-        try:
-            import ray
-        except ImportError:
-            raise ValueError(
-                "the executor 'ray' needs Ray: pip install \"amusic-gym[ray]\""
-            ) from None
-        self._ray: Any = ray
+        self._ray = optional("ray", "the executor 'ray'", "Ray", "ray")
         self._address = address
         self._connected = False
 
-    def workers(self, technique: Technique) -> _RayWorkers:
+    def workers(self, held: Held) -> _RayWorkers:
         """As many workers as the cluster has processors, once there is work."""
-        return _RayWorkers(self, dumped(technique))
+        return _RayWorkers(self, dumped(held))
 
     def connect(self) -> Any:
         """Ray, connected to a cluster.
@@ -89,26 +81,24 @@ class RayCluster(Executor):
 
 
 class _RayWorkers(Workers):
-    def __init__(self, cluster: RayCluster, technique: bytes) -> None:
+    def __init__(self, cluster: RayCluster, held: bytes) -> None:
         self._cluster = cluster
-        self._technique = technique
+        self._held = held
         self._running: dict[Any, Any] = {}  # task -> shard
 
-    def run(
-        self, shards: Iterable[S], advance: Advance = nothing
-    ) -> Iterator[tuple[S, NDArray[np.float32]]]:
+    def run(self, shards: Iterable[S], advance: Advance = nothing) -> Iterator[tuple[S, Any]]:
         waiting = iter(shards)
         shard = next(waiting, None)
         if shard is None:
             return  # before a cluster is started for nothing
         ray = self._cluster.connect()
-        technique = ray.put(self._technique)
+        held = ray.put(self._held)
         # Ray starts another worker in the place of one that died.
         remote = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_bootstrap())
         ahead = 2 * int(ray.cluster_resources().get("CPU", 1))
         while shard is not None or self._running:
             while shard is not None and len(self._running) < ahead:
-                task = remote.remote(sys.path, technique, pickle.dumps(_portable(shard)))
+                task = remote.remote(sys.path, held, pickle.dumps(_portable(shard)))
                 self._running[task] = shard
                 shard = next(waiting, None)
             for task in ray.wait(list(self._running), num_returns=1)[0]:
@@ -132,16 +122,15 @@ def _portable(shard: Shard) -> Shard:
     return replace(shard, queries=array_of(shard.queries), references=array_of(shard.references))
 
 
-def _result(ray: Any, task: Any, shard: Shard) -> NDArray[np.float32]:
+def _result(ray: Any, task: Any, shard: Shard) -> Any:
     try:
-        result: NDArray[np.float32] = ray.get(task)
+        return ray.get(task)
     except ray.exceptions.RayTaskError as error:
         raise error.cause from None
     except (ray.exceptions.WorkerCrashedError, ray.exceptions.OutOfMemoryError) as error:
         raise ChildProcessError(
-            f"{shard}: {ATTEMPTS} workers died of it ({error}); what was finished is in the cache"
+            f"{shard}: {ATTEMPTS} workers died of it ({error}); what was finished is kept"
         ) from error
-    return result
 
 
 def _bootstrap() -> Callable[[list[str], bytes, bytes], Any]:
@@ -151,21 +140,21 @@ def _bootstrap() -> Callable[[list[str], bytes, bytes], Any]:
     workers may not find before they look where this process does.
     """
 
-    def run(path: list[str], technique: bytes, shard: bytes) -> Any:
+    def run(path: list[str], held: bytes, shard: bytes) -> Any:
         import sys
 
         sys.path.extend(folder for folder in path if folder not in sys.path)
         from amusic_gym.extraction.ray_cluster import run_shard
 
-        return run_shard(technique, shard)
+        return run_shard(held, shard)
 
     return run
 
 
-_technique = lru_cache(1)(loaded)  # in a worker: the one of the last shard
+_held = lru_cache(1)(loaded)  # in a worker: what the last shard needed
 
 
-def run_shard(technique: bytes, shard: bytes) -> NDArray[np.float32]:
+def run_shard(held: bytes, shard: bytes) -> Any:
     """A shard's result in a worker."""
     work: Shard = pickle.loads(shard)
-    return work.run(_technique(technique))
+    return work.run(_held(held))

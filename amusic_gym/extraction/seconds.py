@@ -75,12 +75,6 @@ def measure_cost(
 
     Reading the image from disk does not count: on a robot it comes from a camera.
 
-    Args:
-        technique: the technique.
-        images: some query images.
-        blocks: some blocks of the map.
-        references: R, places on the whole map.
-
     Returns:
         The median over the images of description + matching, the latter scaled from the given
         blocks to R references.
@@ -107,12 +101,7 @@ def known_cost(
 
     So the same command gives the same bank twice. An unsteady measurement is warned of.
 
-    Args:
-        plan: of the technique.
-        cache: remembers the measurement.
-        workers: for blocks of the map that are not in the cache.
-        progress: for these.
-        again: measure even if there is a measurement.
+    ``workers`` describe blocks of the map that are not in the cache.
     """
     references = len(plan.reference)
     sample = plan.query.take(_spread(len(plan.query), QUERIES))

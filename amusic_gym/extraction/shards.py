@@ -1,11 +1,11 @@
-"""Shards, the pieces of work of an extraction, and what runs them."""
+"""Shards, pieces of work of an extraction, a study or a search, and what runs them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, Self, TypeAlias, TypeVar
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from amusic_gym.extraction.blocks import (
 )
 from amusic_gym.extraction.code import describes_queries_alike
 from amusic_gym.techniques.protocol import Technique
+from amusic_gym.utils.closing import Closing
 from amusic_gym.utils.threads import one_thread
 
 ATTEMPTS = 3
@@ -34,47 +35,35 @@ def nothing(done: int) -> None:
     """Progress callback that does nothing."""
 
 
+class Held(Protocol):
+    """What workers hold for all shards: a technique, the banks of a study; it pickles."""
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+
+
 class Shard(Protocol):
     """A piece of work: the same result in any process, in any order.
 
     Attributes:
-        key: of the result in the cache.
         size: amount of work, for the progress bar.
     """
 
     @property
-    def key(self) -> str: ...  # noqa: D102
-
-    @property
     def size(self) -> int: ...  # noqa: D102
 
-    def run(self, technique: Technique, advance: Advance = nothing) -> NDArray[np.float32]:
-        """The result; ``advance`` is called with all of ``size``, bit by bit."""
+    def run(self, held: Any, advance: Advance = nothing, /) -> Any:
+        """The result, which pickles; ``advance`` is called with all of ``size``, bit by bit."""
         ...
 
 
 S = TypeVar("S", bound=Shard)
 
 
-class _Context:
-    """A context that ends with `close`."""
+class Workers(Closing):
+    """Workers that hold one thing."""
 
-    def close(self) -> None:
-        """End what was started."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
-class Workers(_Context):
-    """Workers that hold one technique."""
-
-    def run(
-        self, shards: Iterable[S], advance: Advance = nothing
-    ) -> Iterator[tuple[S, NDArray[np.float32]]]:
+    def run(self, shards: Iterable[S], advance: Advance = nothing) -> Iterator[tuple[S, Any]]:
         """Run all ``shards``, taken as workers become free; yield each with its result, unordered.
 
         ``advance`` is called image by image in this process, elsewhere shard by shard. An error
@@ -87,27 +76,21 @@ class Workers(_Context):
         raise NotImplementedError
 
 
-class Executor(_Context):
+class Executor(Closing):
     """A place to run shards."""
 
-    def workers(self, technique: Technique) -> Workers:
-        """Workers for the shards of one technique."""
+    def workers(self, held: Held) -> Workers:
+        """Workers for the shards of one technique, study or search."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class DescribeShard:
-    """Description of one block of images; the result is (B, ...).
+    """Description of one block of images; the result is (B, ...)."""
 
-    Attributes:
-        key: of the result.
-        images: up to ``BLOCK``.
-        query: whether as queries or as places of the map.
-    """
-
-    key: str
-    images: Images
-    query: bool
+    key: str  # of the result
+    images: Images  # up to ``BLOCK``
+    query: bool  # whether as queries or as places of the map
 
     @property
     def size(self) -> int:
@@ -150,19 +133,12 @@ class DescribeShard:
 
 @dataclass(frozen=True)
 class MatchShard:
-    """Matching of a block of queries with a block of the map; the result is (queries, references).
+    """Matching of a block of queries with one of the map; the result is (queries, references)."""
 
-    Attributes:
-        key: of the result.
-        queries: (B, ...) descriptors.
-        references: (B, ...) descriptors.
-        paths: B, the images of the queries.
-    """
-
-    key: str
-    queries: Stored | NDArray[np.float32]
-    references: Stored | NDArray[np.float32]
-    paths: tuple[Path, ...]
+    key: str  # of the result
+    queries: Stored | NDArray[np.float32]  # (B, ...) descriptors
+    references: Stored | NDArray[np.float32]  # (B, ...) descriptors
+    paths: tuple[Path, ...]  # B, the images of the queries
 
     @property
     def size(self) -> int:

@@ -33,8 +33,7 @@ class Answers:
     @cached_property
     def _where(self) -> NDArray[np.float64]:
         assert self.positions is not None
-        degrees = self.positions.degrees()
-        return self.positions.metres if degrees is None else degrees
+        return self.positions.coordinates()
 
     def known(self, seen: FrameResult) -> bool | None:
         """Whether the place is; None where that cannot be told."""

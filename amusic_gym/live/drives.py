@@ -22,42 +22,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class FrameResult:
-    """One frame of a drive: what ran, where the robot is, and how long it took.
+    """One frame of a drive: what ran, where the robot is, and how long it took."""
 
-    Attributes:
-        frame: number of the frame, from 0.
-        image: the query image.
-        prediction: place, -1 before the first.
-        confidence: higher = surer.
-        similarity: z-score of the place in this frame's row of the technique that MuSIC trusted;
-            of a localiser, the largest in the rows it asked for; 0 where nothing ran.
-        p_correct: SIC-estimated correctness; None where the policy gives none.
-        technique: the one that MuSIC trusted, -1: none.
-        ran: (T,) bool, on the frame itself; not those that raised or are left out for it.
-        late_runs: (T,) after-the-fact runs before it.
-        selection: whether a selection was done before it.
-        compute_weight: λ that the policy chose with; None where it gives the places itself.
-        run_milliseconds: (T,) wall time of the runs, after-the-fact ones included.
-        read_milliseconds: wall time until the image was there: disk, decoder or camera.
-        milliseconds: wall time of all the rest: the policy, the runs and the localisation.
-        techniques: T names.
-    """
-
-    frame: int
-    image: Image = field(repr=False)
-    prediction: int
-    confidence: float
+    frame: int  # number of the frame, from 0
+    image: Image = field(repr=False)  # the query image
+    prediction: int  # place, -1 before the first
+    confidence: float  # higher = surer
+    # z-score of the place in this frame's row of the technique that MuSIC trusted; of a localiser,
+    # the largest in the rows it asked for; 0 where nothing ran
     similarity: float
-    p_correct: float | None
-    technique: int
+    p_correct: float | None  # SIC-estimated correctness; None where the policy gives none
+    technique: int  # the one that MuSIC trusted, -1: none
+    # (T,) bool, on the frame itself; not those that raised or are left out for it
     ran: NDArray[np.bool_]
-    late_runs: NDArray[np.int64]
-    selection: bool
+    late_runs: NDArray[np.int64]  # (T,) after-the-fact runs before it
+    selection: bool  # whether a selection was done before it
+    # λ that the policy chose with; None where it gives the places itself
     compute_weight: float | None
+    # (T,) wall time of the runs, after-the-fact ones included
     run_milliseconds: NDArray[np.float64]
-    read_milliseconds: float
-    milliseconds: float
-    techniques: tuple[str, ...]
+    read_milliseconds: float  # wall time until the image was there: disk, decoder or camera
+    milliseconds: float  # wall time of all the rest: the policy, the runs and the localisation
+    techniques: tuple[str, ...]  # T names
 
     @property
     def active(self) -> tuple[str, ...]:
@@ -96,16 +82,13 @@ class Drive(Protocol):
 def drive_along(
     policy: Policy,
     route: LiveRoute,
+    how: Correction,
     *,
-    statistic: str = SICSettings.statistic,
-    carry: bool | None = None,
-    discount: bool | None = None,
     compute_weight: float | None = None,
     keeper: Keeper | None = None,
 ) -> Drive:
     """A drive that is about to take its first frame; see `amusic_gym.live.navigation.navigate`."""
     if isinstance(policy, Selector):
-        how = Correction.under(policy, statistic, carry, discount)
         weight = 1.0 if compute_weight is None else compute_weight
         return _SelectorDrive(policy, route, how, weight, keeper)
     return _LocaliserDrive(policy, route)

@@ -196,13 +196,6 @@ class Keeper:
     or too little. Where that alone leaves the average over the last `WINDOW` frames, those before
     the first taken to be at the budget, off by more than `MARGIN`, the choice itself is changed.
 
-    Args:
-        limits: the limits.
-        policy: the selector.
-        clock: what the cap counts.
-        charged: what the budget counts.
-        weight: λ at first.
-
     Attributes:
         weight: λ for the next frame.
     """

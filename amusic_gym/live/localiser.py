@@ -10,17 +10,18 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.extraction.place_map import PlaceMap
 from amusic_gym.live.drives import FrameResult, drive_along
 from amusic_gym.live.limits import Limits
-from amusic_gym.policies.protocol import Context, Policy, Selector
+from amusic_gym.policies.protocol import Context, Correction, Policy, Selector
 from amusic_gym.policies.registry import make_policy
 from amusic_gym.techniques.protocol import Image, Technique
 from amusic_gym.utils.checks import number, share
+from amusic_gym.utils.closing import Closing
 from amusic_gym.utils.names import suggest
 from amusic_gym.utils.states import read_state, write_state
 
@@ -85,7 +86,7 @@ class Pushed:
         """Nothing to do."""
 
 
-class Localiser:
+class Localiser(Closing):
     """Recognises the places of a map in images that are pushed into it.
 
     It does what `navigate` does with the same images. See :meth:`load` for the arguments.
@@ -140,14 +141,10 @@ class Localiser:
         keeper = within.keeper(
             policy, route.techniques, known, measured=measured, weight=compute_weight
         )
-        self._drive = drive_along(
-            policy, route, statistic=chosen, compute_weight=compute_weight, keeper=keeper
-        )
+        how = Correction.under(policy, chosen)
+        self._drive = drive_along(policy, route, how, compute_weight=compute_weight, keeper=keeper)
         where = place_map.positions
-        self._where: NDArray[np.float64] | None = None
-        if where is not None:
-            degrees = where.degrees()
-            self._where = where.metres if degrees is None else degrees
+        self._where = None if where is None else where.coordinates()
         kind = type(policy)
         self._about = {  # what a saved state must agree with
             "map": place_map.digest,
@@ -307,12 +304,6 @@ class Localiser:
         """End the threads that match; nothing can be recognised from now on."""
         self._closed = True
         self.map.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def _checked(image: ArrayLike) -> Image:

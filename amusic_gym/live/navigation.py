@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import TextIO
 
 from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.live.drives import FrameResult, drive_along
 from amusic_gym.live.limits import Keeper
-from amusic_gym.policies.protocol import Policy
+from amusic_gym.policies.protocol import Correction, Policy
 from amusic_gym.policies.trace import CSV_COLUMNS, csv_line
+from amusic_gym.utils.closing import Closing
 from amusic_gym.utils.escaping import CsvWriter
 
 __all__ = ["FrameResult", "TraceWriter", "navigate"]
@@ -47,20 +47,13 @@ def navigate(
         ValueError: for what :class:`~amusic_gym.envs.task.Task` and the route refuse.
         FileNotFoundError: for an image that is gone.
     """
-    drive = drive_along(
-        policy,
-        route,
-        statistic=statistic,
-        carry=carry,
-        discount=discount,
-        compute_weight=compute_weight,
-        keeper=keeper,
-    )
+    how = Correction.under(policy, statistic, carry, discount)
+    drive = drive_along(policy, route, how, compute_weight=compute_weight, keeper=keeper)
     while (seen := drive.step()) is not None:
         yield seen
 
 
-class TraceWriter:
+class TraceWriter(Closing):
     """Writes a drive as CSV, a whole line per frame as it comes: what is there stays readable.
 
     The columns are those of :meth:`amusic_gym.policies.trace.Trace.write_csv`, then the
@@ -117,14 +110,3 @@ class TraceWriter:
     def close(self) -> None:
         """Close the file; a second time, nothing."""
         self._file.close()
-
-    def __enter__(self) -> TraceWriter:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from typing import Any
 
 import numpy as np
 
 from amusic_gym.live.drives import FrameResult
-
-INSTALL = 'pip install "amusic-gym[rerun]"'
+from amusic_gym.utils.closing import Closing
+from amusic_gym.utils.optional import optional
 
 PATIENCE = 3.0
 """Seconds within which a viewer must answer."""
@@ -19,7 +18,7 @@ QUALITY = 75
 """Of the camera's pictures, JPEG."""
 
 
-class Recording:
+class Recording(Closing):
     """Writes a drive to Rerun, frame by frame. Use it as a context manager.
 
     Args:
@@ -31,12 +30,7 @@ class Recording:
     """
 
     def __init__(self, target: str) -> None:
-        try:
-            self._rerun: Any = importlib.import_module("rerun")
-        except ImportError:
-            raise ValueError(
-                f"--rerun needs the package rerun-sdk; install it: {INSTALL}"
-            ) from None
+        self._rerun = optional("rerun", "--rerun", "the package rerun-sdk", "rerun")
         self._stream = self._rerun.RecordingStream("amusic-gym drive")
         if target == "connect":
             self._stream.connect_grpc()
@@ -70,9 +64,3 @@ class Recording:
         """Write what waits."""
         self._stream.flush()
         self._stream.disconnect()
-
-    def __enter__(self) -> Recording:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

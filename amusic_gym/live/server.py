@@ -8,12 +8,13 @@ from importlib.resources import files
 from typing import Any
 
 from amusic_gym.live.answers import line
+from amusic_gym.utils.closing import Closing
 
 ALIVE = 15.0
 """Seconds without an answer after which a reader of events is told that all is well."""
 
 
-class AnswerServer:
+class AnswerServer(Closing):
     """Serves ``/last`` (JSON; 204 before the first), ``/events`` and ``/``, in threads of its own.
 
     Who reads events slower than frames come misses some. Use it as a context manager.
@@ -70,12 +71,6 @@ class AnswerServer:
         self._server.server_close()
         self._thread.join()
 
-    def __enter__(self) -> AnswerServer:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
@@ -93,7 +88,8 @@ class _Handler(BaseHTTPRequestHandler):
         """Answer a request."""
         answers, path = self.server.answers, self.path.partition("?")[0]
         if path == "/":
-            self._send(200, "text/html; charset=utf-8", _page())
+            page = files("amusic_gym.live").joinpath("page.html").read_bytes()
+            self._send(200, "text/html; charset=utf-8", page)
         elif path == "/last":
             last = answers.last()
             self._send(200 if last else 204, "application/json", last)
@@ -118,7 +114,3 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         """Print nothing: the drive has the terminal."""
-
-
-def _page() -> bytes:
-    return files("amusic_gym.live").joinpath("page.html").read_bytes()

@@ -19,24 +19,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Needs:
-    """Arguments of the environment that a selector was made for; None: whatever the user chose.
+    """Arguments of the environment that a selector was made for; None: whatever the user chose."""
 
-    Attributes:
-        statistic: SIC's statistic.
-        carry: whether places are carried on as candidates.
-        discount: whether MuSIC discounts alike rows.
-        reselection: M of the re-select bit; None: no such bit.
-        coverage: E of the re-selection.
-        allow_idle: whether an empty action runs nothing.
-        extra: any other arguments of :class:`amusic_gym.envs.task.Task`.
-    """
-
-    statistic: str | None = None
-    carry: bool | None = None
-    discount: bool | None = None
-    reselection: int | None = None
-    coverage: float = COVERAGE
-    allow_idle: bool = False
+    statistic: str | None = None  # SIC's statistic
+    carry: bool | None = None  # whether places are carried on as candidates
+    discount: bool | None = None  # whether MuSIC discounts alike rows
+    reselection: int | None = None  # M of the re-select bit; None: no such bit
+    coverage: float = COVERAGE  # E of the re-selection
+    allow_idle: bool = False  # whether an empty action runs nothing
+    # any other arguments of :class:`amusic_gym.envs.task.Task`
     extra: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -110,17 +101,11 @@ Policy = Selector | Localiser
 
 
 class Correction(NamedTuple):
-    """How SIC and MuSIC work under a policy.
+    """How SIC and MuSIC work under a policy."""
 
-    Attributes:
-        statistic: SIC's; "none" for a localiser, which does without.
-        carry: whether places are carried on as candidates.
-        discount: whether MuSIC discounts alike rows.
-    """
-
-    statistic: str
-    carry: bool
-    discount: bool
+    statistic: str  # SIC's; "none" for a localiser, which does without
+    carry: bool  # whether places are carried on as candidates
+    discount: bool  # whether MuSIC discounts alike rows
 
     @classmethod
     def under(
@@ -150,27 +135,19 @@ class Correction(NamedTuple):
 
 @dataclass(frozen=True)
 class Context:
-    """What a policy may be built from.
+    """What a policy may be built from."""
 
-    Attributes:
-        techniques: (T,) names, in the bank's order.
-        seconds: (T,) cost of one run.
-        statistic: SIC's statistic that the user chose.
-        seed: for policies that draw.
-        route: the bank or live route.
-        carry: whether places are carried on as candidates; None: as the statistic has it.
-        discount: whether MuSIC discounts alike rows; None: as the statistic has it.
-        insists: whether the user insists on the statistic: a selector trained with another is
-            refused then, and else brings its own.
-    """
-
-    techniques: tuple[str, ...]
-    seconds: NDArray[np.float64]
-    statistic: str
-    seed: int
-    route: ScoreBank | LiveRoute
+    techniques: tuple[str, ...]  # (T,) names, in the bank's order
+    seconds: NDArray[np.float64]  # (T,) cost of one run
+    statistic: str  # SIC's statistic that the user chose
+    seed: int  # for policies that draw
+    route: ScoreBank | LiveRoute  # the bank or live route
+    # whether places are carried on as candidates; None: as the statistic has it
     carry: bool | None = None
+    # whether MuSIC discounts alike rows; None: as the statistic has it
     discount: bool | None = None
+    # whether the user insists on the statistic: a selector trained with another is refused then,
+    # and else brings its own
     insists: bool = False
 
     @classmethod

@@ -28,19 +28,13 @@ IDLE = "idle"
 
 
 class Family(NamedTuple):
-    """Policies that are compared as one kind.
+    """Policies that are compared as one kind."""
 
-    Attributes:
-        front: name of the front of AUC against compute that they make together; "": one each.
-        best: what a legend calls the best of them.
-        colour: of that front.
-        marker: of that front.
-    """
-
+    # name of the front of AUC against compute that they make together; "": one each
     front: str = ""
-    best: str = ""
-    colour: str = ""
-    marker: str = ""
+    best: str = ""  # what a legend calls the best of them
+    colour: str = ""  # of that front
+    marker: str = ""  # of that front
 
 
 FIXED, CASCADE, AMUSIC, PERIODIC, VOI = "fixed", "cascade", "amusic", "periodic", "voi"
@@ -78,15 +72,10 @@ def front_of(policy: str, family: str) -> str | None:
 
 
 class Facts(NamedTuple):
-    """What only the argument of a policy tells.
+    """What only the argument of a policy tells."""
 
-    Attributes:
-        version: what its behaviour depends on besides code: a digest of its weights.
-        needs_truth: of what it needs ground truth, if it does.
-    """
-
-    version: str = ""
-    needs_truth: str = ""
+    version: str = ""  # what its behaviour depends on besides code: a digest of its weights
+    needs_truth: str = ""  # of what it needs ground truth, if it does
 
 
 def _no_facts(argument: str | None) -> Facts:

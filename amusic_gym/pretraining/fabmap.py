@@ -23,13 +23,6 @@ def train_fabmap(
 ) -> ChowLiuTree:
     """Learn a vocabulary by k-means and its Chow-Liu tree; write both.
 
-    Args:
-        images: a folder of images of other places than the map's.
-        out: the file to write.
-        words: V.
-        seed: of k-means and of the draw of features.
-        advance: called with 1 after each image.
-
     Raises:
         FileNotFoundError: when there is no such folder.
         ValueError: for a number of words that no vocabulary has, fewer features than words, or

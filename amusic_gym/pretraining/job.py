@@ -33,19 +33,13 @@ Describe = Callable[[list[Image]], NDArray[np.float32]]
 
 @dataclass(frozen=True)
 class TrainingJob:
-    """Where a training writes, and how it shows itself; the weights do not depend on it.
+    """Where a training writes, and how it shows itself; the weights do not depend on it."""
 
-    Attributes:
-        out: the weights' file.
-        resume: whether to go on from checkpoints.
-        images: a folder to keep rendered images in, for other trainings of the same renderer.
-        progress: whether to show bars and print the validation.
-    """
-
-    out: Path
-    resume: bool = False
+    out: Path  # the weights' file
+    resume: bool = False  # whether to go on from checkpoints
+    # a folder to keep rendered images in, for other trainings of the same renderer
     images: Path | None = None
-    progress: bool = True
+    progress: bool = True  # whether to show bars and print the validation
 
     def checkpoint(self, stage: str) -> Path:
         """The checkpoint of a stage of the training, beside the weights' file."""
@@ -82,10 +76,7 @@ class TrainingJob:
 def accuracy(describe: Describe, pool: Pool, *, cameras: bool) -> float:
     """Share of places that find themselves, within ``TOLERANCE`` places, on the other drive.
 
-    Args:
-        describe: images to descriptors.
-        pool: worlds that the network never saw.
-        cameras: whether each traverse is taken by a random camera, else as rendered.
+    Each traverse is taken by a random camera where ``cameras`` says so, else as rendered.
     """
     right: list[np.bool_] = []
     for world in range(pool.worlds):

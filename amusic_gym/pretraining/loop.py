@@ -93,13 +93,7 @@ class Training:
             self._restore()
 
     def run(self, loss_of: Callable[[np.random.Generator], Tensor]) -> list[float]:
-        """Train to the last step.
-
-        Args:
-            loss_of: draws a batch from the step's generator and gives its loss.
-
-        Returns:
-            The loss of each step.
+        """Train to the last step; gives the loss of each.
 
         Raises:
             KeyboardInterrupt: after a checkpoint.

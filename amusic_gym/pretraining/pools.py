@@ -75,12 +75,7 @@ def make_pool(
 ) -> Pool:
     """Render a pool, or take it from the file where an earlier one was kept.
 
-    Args:
-        size: how much.
-        seed: of the worlds' seeds and conditions.
-        keep: a file to keep it in; read if it holds the pool of the same seed, size and renderer,
-            written otherwise.
-        progress: whether to show a bar.
+    The file ``keep`` is read if it holds the pool of this seed, size and renderer, else written.
     """
     about = {"pool": json.dumps([asdict(size), seed, renderer_digest()])}
     if keep is not None and (kept := _kept(keep, about)) is not None:

@@ -25,15 +25,10 @@ from amusic_gym.utils.storage import write_whole
 
 @dataclass(frozen=True)
 class ListedImage:
-    """An image's file, and the condition that the drive sees it under.
+    """An image's file, and the condition that the drive sees it under."""
 
-    Attributes:
-        path: absolute.
-        change: None: as it is.
-    """
-
-    path: Path
-    change: Change | None = None
+    path: Path  # absolute
+    change: Change | None = None  # None: as it is
 
     def read(self) -> Image:
         """The image, (H, W, 3) uint8, blue-green-red.
@@ -48,15 +43,10 @@ class ListedImage:
 
 @dataclass(frozen=True)
 class BankImages:
-    """The images of a bank.
+    """The images of a bank."""
 
-    Attributes:
-        query: (Q,) of the frames.
-        reference: (R,) of the places.
-    """
-
-    query: tuple[ListedImage, ...]
-    reference: tuple[ListedImage, ...]
+    query: tuple[ListedImage, ...]  # (Q,) of the frames
+    reference: tuple[ListedImage, ...]  # (R,) of the places
 
     @classmethod
     def of(cls, query: ImageFolder, reference: ImageFolder) -> BankImages:

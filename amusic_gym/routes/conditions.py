@@ -230,17 +230,11 @@ def _strength(part: str, number: str) -> float:
 
 @dataclass(frozen=True)
 class Change:
-    """A condition applied to one image of a traverse; its text names all that it depends on.
+    """A condition applied to one image of a traverse; its text names all that it depends on."""
 
-    Attributes:
-        condition: not plain.
-        seed: of the drive.
-        frame: number of the image on the drive.
-    """
-
-    condition: Condition
-    seed: int
-    frame: int
+    condition: Condition  # not plain
+    seed: int  # of the drive
+    frame: int  # number of the image on the drive
 
     def __str__(self) -> str:
         return f"{self.condition} seed {self.seed} frame {self.frame}"

@@ -14,6 +14,7 @@ from typing import Any
 from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.image_truth import by_index
+from amusic_gym.routes.positions import Positions
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import suggest
 
@@ -26,36 +27,29 @@ class Dataset:
         reference: folders of the map, from the data sets' root; several are joined in this order.
         query: folders of the run, as many.
         images: how many each traverse has in the paper.
-        tolerance: places to either side of the true one that count as right.
         condition: what differs between the traverses.
         source: where to get it; the part of a sentence that follows "get it from".
+        tolerance: places to either side of the true one that count as right.
     """
 
     reference: tuple[str, ...]
     query: tuple[str, ...]
     images: int
-    tolerance: int
     condition: str
     source: str
+    tolerance: int = 1
 
 
 @dataclass(frozen=True)
-class LoadedDataset:
-    """A data set that was found on disk: what extraction needs, and what is true.
+class LoadedRoute:
+    """Two traverses that were found on disk, and what is true: what extraction needs."""
 
-    Attributes:
-        name: of the data set.
-        reference: the map, R images.
-        query: the run, Q images.
-        ground_truth: frame q is at place q, ± ``tolerance`` within the same part of the route.
-        tolerance: places.
-    """
-
-    name: str
-    reference: ImageFolder
-    query: ImageFolder
+    reference: ImageFolder  # the map, R images
+    query: ImageFolder  # the run, Q images
     ground_truth: GroundTruth
-    tolerance: int
+    tolerance: int | None  # places; None: as the ground truth lists them
+    name: str = ""
+    positions: tuple[Positions, Positions] | None = None  # of the map and of the run, where known
 
 
 _NORDLAND = "NRK's video of the Nordland railway, one of its frame sets"
@@ -66,7 +60,6 @@ DATASETS = {
         reference=("nordland/summer",),
         query=("nordland/winter",),
         images=1000,
-        tolerance=1,
         condition="extreme seasonal",
         source=_NORDLAND,
     ),
@@ -74,7 +67,6 @@ DATASETS = {
         reference=("nordland/summer",),
         query=("nordland/fall",),
         images=1000,
-        tolerance=1,
         condition="moderate seasonal",
         source=_NORDLAND,
     ),
@@ -82,7 +74,6 @@ DATASETS = {
         reference=("berlin/halenseestrasse-2", "berlin/kudamm-1", "berlin/A100-1"),
         query=("berlin/halenseestrasse-1", "berlin/kudamm-2", "berlin/A100-2"),
         images=250,
-        tolerance=1,
         condition="strong viewpoint",
         source="the repository Ahmedest61/CNN-Region-VLAD-VPR on GitHub (images of Mapillary)",
     ),
@@ -90,7 +81,6 @@ DATASETS = {
         reference=("gardens_point/day_left",),
         query=("gardens_point/night_right",),
         images=200,
-        tolerance=1,
         condition="outdoor illumination; lateral shift",
         source="Zenodo, record 4590133 (Gardens Point Walking)",
     ),
@@ -98,7 +88,6 @@ DATASETS = {
         reference=("st_lucia/afternoon",),
         query=("st_lucia/morning",),
         images=1100,
-        tolerance=1,
         condition="daylight; dynamic elements",
         source="the wiki of arrenglover/openfabmap on GitHub (St Lucia Multiple Times of Day)",
     ),
@@ -121,7 +110,7 @@ def load_dataset(
     images: int | None = None,
     first: int | None = None,
     step: int = 1,
-) -> LoadedDataset:
+) -> LoadedRoute:
     """The two traverses of a data set, checked, with what is true.
 
     A folder must hold exactly as many images as the paper used, because the paper does not say
@@ -171,7 +160,7 @@ def load_dataset(
         traverses.append(found)
     reference, query = traverses
     truth = by_index(reference, query, dataset.tolerance)
-    return LoadedDataset(name, reference, query, truth, dataset.tolerance)
+    return LoadedRoute(reference, query, truth, dataset.tolerance, name)
 
 
 def _needs(name: str, root: str | os.PathLike[str], images: int) -> str:

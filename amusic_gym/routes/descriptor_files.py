@@ -55,10 +55,6 @@ def read_traverse(path: _Path, order: _Path | None = None) -> ImageFolder:
 def named(path: Path, names: Sequence[str]) -> ImageFolder:
     """A traverse of which only the images' names are known.
 
-    Args:
-        path: where they were read, for messages.
-        names: N, in order.
-
     Raises:
         ValueError: when there is none, or one twice.
     """
@@ -66,29 +62,19 @@ def named(path: Path, names: Sequence[str]) -> ImageFolder:
         what = "names an image twice" if names else "names no image"
         raise ValueError(f"{path} {what}; give each image's name once")
     made = object.__new__(ImageFolder)
-    vars(made).update(
-        path=path,
-        paths=tuple(path / name.lstrip("/") for name in names),
-        parts=(len(names),),
-        repeats=(),
-        changes=(),
-        complete=None,
-        kept=(),
-    )
+    paths = tuple(path / name.lstrip("/") for name in names)
+    vars(made).update(path=path, paths=paths, parts=(len(names),))
     return made
 
 
 def read_descriptors(path: _Path, images: ImageFolder | None, side: str) -> Descriptors:
-    """The descriptors of a traverse.
+    """The descriptors of a traverse, one for each image, in its order.
 
     Args:
         path: a file or folder of one of the layouts; below an HDF5 file, a group: FILE.h5/GROUP.
         images: the traverse; None: the natural order of the names in the file, or, without names,
             the order of its rows.
         side: "reference" or "query", for a folder that holds both.
-
-    Returns:
-        One for each image, in the order of the traverse.
 
     Raises:
         FileNotFoundError: when there is no such file or folder.

@@ -25,6 +25,7 @@ from amusic_gym.routes.images import (
 from amusic_gym.routes.numbering import arranged, gaps, natural_key, same_numbers
 from amusic_gym.techniques.protocol import Image
 from amusic_gym.utils.checks import whole
+from amusic_gym.utils.names import few
 from amusic_gym.utils.reading import open_file
 
 _NAMED = 5  # frames that a warning names before it only counts
@@ -71,10 +72,10 @@ class ImageFolder:
     path: Path
     paths: tuple[Path, ...] = field(repr=False)
     parts: tuple[int, ...]
-    repeats: tuple[tuple[int, int], ...] = field(repr=False)
-    changes: tuple[Change | None, ...] = field(repr=False)
-    complete: ImageFolder | None = field(repr=False)
-    kept: tuple[int, ...] = field(repr=False)
+    repeats: tuple[tuple[int, int], ...] = field(default=(), repr=False)
+    changes: tuple[Change | None, ...] = field(default=(), repr=False)
+    complete: ImageFolder | None = field(default=None, repr=False)
+    kept: tuple[int, ...] = field(default=(), repr=False)
 
     def __init__(
         self,
@@ -94,15 +95,7 @@ class ImageFolder:
         taken = _take(found, folder, first, step, count)
         paths = tuple(path for path, _ in taken)
         repeats = _repeats(taken)
-        vars(self).update(
-            path=folder,
-            paths=paths,
-            parts=(len(paths),),
-            repeats=repeats,
-            changes=(),
-            complete=None,
-            kept=(),
-        )
+        vars(self).update(path=folder, paths=paths, parts=(len(paths),), repeats=repeats)
         doubts = [*_apart(paths, folder, unread), *_doubts(paths, repeats, order is None)]
         for sentence in doubts:
             warnings.warn(f"{folder}: {sentence}", UserWarning, stacklevel=2)
@@ -165,9 +158,6 @@ class ImageFolder:
     def without(self, left_out: Iterable[int]) -> ImageFolder:
         """The traverse without some images; the others keep their numbers for ground truth.
 
-        Args:
-            left_out: indices of images.
-
         Raises:
             ValueError: when none would be left of a part, or some were left out before.
         """
@@ -216,9 +206,7 @@ class ImageFolder:
 def check_apart(reference: object, query: object) -> None:
     """Refuse a map that holds the folder of its own run, or the other way round.
 
-    Args:
-        reference: the map; anything but an `ImageFolder` passes.
-        query: the run.
+    Anything but an `ImageFolder` passes.
 
     Raises:
         ValueError: naming both.
@@ -361,7 +349,7 @@ def _apart(paths: Sequence[Path], folder: Path, unread: Sequence[str]) -> Iterat
         named = [f"{name} ({count})" for name, count in pieces.items()]
         yield (
             f"images of {len(pieces)} folders are read as one route, one after the other: "
-            f"{_some(named)}; give one of them if these are several cameras or traverses"
+            f"{few(named, _NAMED)}; give one of them if these are several cameras or traverses"
         )
     if unread:
         yield _unread(unread)
@@ -370,8 +358,8 @@ def _apart(paths: Sequence[Path], folder: Path, unread: Sequence[str]) -> Iterat
 def _unread(names: Sequence[str]) -> str:
     suffix = names[0].rpartition(".")[2]
     return (
-        f"{len(names)} files look like images but are not read ({_some(names)}): convert them, "
-        f"say by `magick mogrify -format jpg *.{suffix}`, or move them away"
+        f"{len(names)} files look like images but are not read ({few(names, _NAMED)}): convert "
+        f"them, say by `magick mogrify -format jpg *.{suffix}`, or move them away"
     )
 
 
@@ -382,18 +370,13 @@ def _doubts(
     broken = "neighbouring frames must be neighbours on the route"
     if by_name and (missing := gaps(paths)):
         named = [f"{at} to {at + 1} ({paths[at].name}, {paths[at + 1].name})" for at in missing]
-        yield f"numbers are missing from frame {_some(named)}; {broken}: look for lost files"
+        yield f"numbers are missing from frame {few(named, _NAMED)}; {broken}: look for lost files"
     if by_name and (doubled := same_numbers(paths)):
         named = [f"{at} and {at + 1} ({paths[at].name}, {paths[at + 1].name})" for at in doubled]
-        yield f"the same number is on frames {_some(named)}; {broken}: keep one file of each"
+        yield f"the same number is on frames {few(named, _NAMED)}; {broken}: keep one file of each"
     if repeats:
         named = [f"{first} to {last}" for first, last in repeats]
         yield (
-            f"the same image is repeated in frames {_some(named)}; {broken}: drop the copies, "
-            "in both traverses alike"
+            f"the same image is repeated in frames {few(named, _NAMED)}; {broken}: drop the "
+            "copies, in both traverses alike"
         )
-
-
-def _some(items: Sequence[str]) -> str:
-    more = f" and {len(items) - _NAMED} more" if len(items) > _NAMED else ""
-    return ", ".join(items[:_NAMED]) + more

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.banks.truth_files import read_truth
 from amusic_gym.routes.folders import ImageFolder
-from amusic_gym.routes.images import image_digest
+from amusic_gym.routes.images import digest_of, read_bytes
 from amusic_gym.routes.positions import HALF_TURN, Positions, check_comparable, from_names
 
 METRES = 25.0
@@ -197,7 +197,7 @@ def with_copies(truth: GroundTruth, reference: ImageFolder) -> GroundTruth:
     run_of = np.arange(len(reference))
     for first, last in reference.repeats:
         run_of[first : last + 1] = first
-    runs = [np.unique(run_of[truth.places[a:b]]) for a, b in _rows(truth)]
+    runs = [np.unique(run_of[truth.of(query)]) for query in range(truth.queries)]
     places = [np.nonzero(np.isin(run_of, run))[0] for run in runs]
     return GroundTruth.from_lists(places, len(reference))
 
@@ -207,7 +207,8 @@ def warn_of_shared_files(reference: ImageFolder, query: ImageFolder) -> None:
     sizes = [{path: path.stat().st_size for path in each.paths} for each in (reference, query)]
     alike = set(sizes[0].values()) & set(sizes[1].values())
     places, frames = (
-        [image_digest(path) for path, size in each.items() if size in alike] for each in sizes
+        [digest_of(read_bytes(path)) for path, size in each.items() if size in alike]
+        for each in sizes
     )
     shared = sum(digest in set(places) for digest in frames)
     if shared:
@@ -228,20 +229,14 @@ def _kept(truth: GroundTruth, reference: ImageFolder, query: ImageFolder) -> Gro
     """What of the truth of complete traverses holds for the images that were kept."""
     index = np.full(truth.references, -1)
     index[list(reference.kept) or slice(None)] = np.arange(len(reference))
-    places = [index[truth.places[a:b]] for a, b in _rows(truth)]
-    frames = query.kept or range(len(query))
-    return GroundTruth.from_lists([places[at][places[at] >= 0] for at in frames], len(reference))
+    places = [index[truth.of(at)] for at in query.kept or range(len(query))]
+    return GroundTruth.from_lists([each[each >= 0] for each in places], len(reference))
 
 
 def _around(centres: NDArray[np.generic], tolerance: int, reference: ImageFolder) -> GroundTruth:
     """± ``tolerance`` places around each centre, but not beyond the part that it lies in."""
     truth = GroundTruth.from_places(centres, 0, len(reference))
     return truth.widened(tolerance, reference.parts)
-
-
-def _rows(truth: GroundTruth) -> zip[tuple[int, int]]:
-    """Where each query's places begin and end."""
-    return zip(truth.indptr[:-1].tolist(), truth.indptr[1:].tolist(), strict=True)
 
 
 def _lengths(folder: ImageFolder) -> str:

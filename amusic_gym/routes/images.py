@@ -41,14 +41,11 @@ FEW_LEVELS = 64
 
 
 def read_image(path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Image:
-    """The image in a file.
+    """The image in a file, (H, W, 3) uint8, blue-green-red, upright.
 
     Args:
         path: the file; its kind is told from its bytes, not from its name.
         max_pixels: refuse an image of more, before memory is taken for it.
-
-    Returns:
-        (H, W, 3) uint8, blue-green-red, upright.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -64,16 +61,13 @@ def decode_image(
     max_pixels: int = MAX_PIXELS,
     checked: bool = False,
 ) -> Image:
-    """The image in the bytes of a file; ``what`` names them in an error.
+    """The image in the bytes of a file, (H, W, 3) uint8, blue-green-red, upright.
 
     Args:
         data: the whole file, as :func:`read_bytes` gives it.
         what: the file's path, or where else the bytes are from.
         max_pixels: as for :func:`read_image`.
         checked: whether :func:`check_image` let these bytes pass.
-
-    Returns:
-        (H, W, 3) uint8, blue-green-red, upright.
 
     Raises:
         ValueError: when the bytes are empty, truncated, damaged, too large an image or none.
@@ -177,13 +171,3 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
 def digest_of(data: bytes) -> str:
     """SHA-256 of a file's bytes, 64 hexadecimal digits."""
     return hashlib.sha256(data).hexdigest()
-
-
-def image_digest(path: str | os.PathLike[str]) -> str:
-    """SHA-256 of an image file's bytes, 64 hexadecimal digits; nothing is decoded.
-
-    Raises:
-        FileNotFoundError: when there is no such file.
-        ValueError: when it is a folder.
-    """
-    return digest_of(read_bytes(path))

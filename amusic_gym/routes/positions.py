@@ -30,23 +30,17 @@ _EQUATOR, _FLATTENING = 6_378_137.0, 1 / 298.257223563  # WGS84: metres of the r
 
 @dataclass(frozen=True, eq=False)
 class Positions:
-    """Where N images were taken.
+    """Where N images were taken."""
 
-    Attributes:
-        metres: (N, D) float64: easting and northing, or x, y and maybe z, or the points of
-            `from_degrees`.
-        system: `GEOGRAPHIC`, `PROJECTED` or `LOCAL`.
-        headings: (N,) degrees clockwise from north, or from whatever a local frame counts them;
-            None where they are not known.
-        zones: UTM zones that the positions are said to be in -> an image or file that says so.
-        source: the file or folder, for messages.
-    """
-
+    # (N, D) float64: easting and northing, or x, y and maybe z, or the points of `from_degrees`
     metres: NDArray[np.float64]
-    system: str
+    system: str  # `GEOGRAPHIC`, `PROJECTED` or `LOCAL`
+    # (N,) degrees clockwise from north, or from whatever a local frame counts them; None where they
+    # are not known
     headings: NDArray[np.float64] | None
+    # UTM zones that the positions are said to be in -> an image or file that says so
     zones: dict[str, str]
-    source: str
+    source: str  # the file or folder, for messages
 
     def __len__(self) -> int:
         return len(self.metres)
@@ -97,6 +91,11 @@ class Positions:
             if np.linalg.norm(self.metres[at] - self.metres[taken[-1]]) >= metres:
                 taken.append(at)
         return np.array(taken)
+
+    def coordinates(self) -> NDArray[np.float64]:
+        """(N, 2) latitude and longitude in degrees; in other systems (N, D) metres."""
+        degrees = self.degrees()
+        return self.metres if degrees is None else degrees
 
     def degrees(self) -> NDArray[np.float64] | None:
         """(N, 2) latitude and longitude; None in other systems."""

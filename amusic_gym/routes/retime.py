@@ -148,10 +148,7 @@ def _retimed(
 
 def retimed_truth(truth: GroundTruth, frames: NDArray[np.int64]) -> GroundTruth:
     """Ground truth of ``frames`` (n,) int64 in [0, Q), in their order and as often as they come."""
-    begin, count = truth.indptr[frames], np.diff(truth.indptr)[frames]  # (n,) each
-    indptr = np.concatenate([[0], np.cumsum(count)])
-    within = np.arange(indptr[-1]) - np.repeat(indptr[:-1], count)
-    return GroundTruth(indptr, truth.places[np.repeat(begin, count) + within], truth.references)
+    return GroundTruth.from_lists([truth.of(frame) for frame in frames.tolist()], truth.references)
 
 
 def _blocks(bank: ScoreBank, frames: NDArray[np.int64], seed: int) -> Iterator[NDArray[np.float32]]:

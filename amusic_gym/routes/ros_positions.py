@@ -10,6 +10,7 @@ import numpy as np
 
 from amusic_gym.routes.positions import GEOGRAPHIC, LOCAL, Positions, from_degrees
 from amusic_gym.routes.tracks import Track, heading_of
+from amusic_gym.utils.optional import optional
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 """Of bags that are files; a bag of ROS 2 is a folder with a ``metadata.yaml``."""
@@ -40,22 +41,15 @@ def read_bag(source: str | os.PathLike[str]) -> Track:
         ValueError: for a damaged bag, one without positions, and one with several topics of them
             where none is named; where rosbags is not installed.
     """
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise ValueError(
-            f"{os.fspath(source)} needs the package rosbags; install it: pip install"
-            ' "amusic-gym[ros]"'
-        ) from None
+    needed = os.fspath(source), "the package rosbags", "ros"
+    reader, types = (optional(f"rosbags.{each}", *needed) for each in ("highlevel", "typesys"))
     path, topic = _parts(source)
     if not path.exists():
         raise FileNotFoundError(f"{path} does not exist; check the name")
     bare = path.suffix.lower() == ".db3"  # as rosbag2 takes them: the folder with its metadata
     try:
-        with AnyReader(
-            [path.parent if bare else path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)
-        ) as bag:
+        store = types.get_typestore(types.Stores.ROS2_HUMBLE)
+        with reader.AnyReader([path.parent if bare else path], default_typestore=store) as bag:
             known = {
                 each.topic: each for each in bag.connections if each.msgtype in (FIXES, *POSES)
             }

@@ -155,7 +155,8 @@ class Simulation:
         """Draw one route: a bank of (T, Q, R) scores that depends on `rng` alone."""
         queries = draw_integer(rng, self.queries)
         techniques = draw_integer(rng, self.techniques)
-        references = self._map_length(rng, queries)
+        same, factor = rng.random() < self.same_length, rng.uniform(*self.map_factor)
+        references = self.references or (queries if same else round(queries * factor))
         competence, condition, spell = self._conditions(rng, techniques, queries)
         place = self._drive(rng, queries, references)
         decoy = lure = None
@@ -194,12 +195,6 @@ class Simulation:
             seed, motion = int(rng.integers(2**31)), PACED if rng.random() < 0.5 else KIDNAPPED
             bank = retime(bank, seed, motion)
         return bank
-
-    def _map_length(self, rng: np.random.Generator, queries: int) -> int:
-        same, factor = rng.random() < self.same_length, rng.uniform(*self.map_factor)
-        if self.references is not None:
-            return self.references
-        return queries if same else round(queries * factor)
 
     def _drive(
         self, rng: np.random.Generator, queries: int, references: int

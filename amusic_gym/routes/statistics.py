@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.banks.ground_truth import GroundTruth
 
 # Key -> what it is, in the order of the tables. `accuracy_NAME` is filled for given predictions.
 MEASURES: dict[str, str] = {
@@ -51,9 +50,9 @@ def describe(
     truth = bank.truth
     matrix = truth.matrix()
     right = truth.correct(scores.argmax(axis=1))
-    places = _middle(truth)
     frames = np.flatnonzero(truth.has_place)
-    true_z = z[frames, places[frames]]
+    middle = (truth.indptr[frames] + truth.indptr[frames + 1]) // 2  # of a frame's true places
+    true_z = z[frames, truth.places[middle]]
     rank = (z[frames] > true_z[:, None]).sum(axis=1)
     measured = {
         "true_z": float(np.median(true_z)) if frames.size else np.nan,
@@ -87,12 +86,6 @@ def _standardised(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(
         np.divide(centred, deviation, out=np.zeros_like(centred), where=deviation > 0)
     )
-
-
-def _middle(truth: GroundTruth) -> NDArray[np.int64]:
-    """The middle one of each frame's true places (Q,); 0 where there is none."""
-    middle = (truth.indptr[:-1] + truth.indptr[1:]) // 2
-    return np.where(truth.has_place, np.append(truth.places, 0)[middle], 0)
 
 
 def _runs(wrong: NDArray[np.bool_]) -> list[int]:

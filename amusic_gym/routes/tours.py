@@ -41,15 +41,10 @@ Folder = ImageFolder | str | os.PathLike[str]
 
 @dataclass(frozen=True)
 class Spell:
-    """Some frames under one condition.
+    """Some frames under one condition."""
 
-    Attributes:
-        first: number of the first frame; the spell ends where the next begins.
-        condition: of all of them.
-    """
-
-    first: int
-    condition: Condition
+    first: int  # number of the first frame; the spell ends where the next begins
+    condition: Condition  # of all of them
 
     def __str__(self) -> str:
         return f"{self.first} {self.condition}"
@@ -57,21 +52,13 @@ class Spell:
 
 @dataclass(frozen=True)
 class Tour:
-    """One drive along several image routes; see `make_tour`.
+    """One drive along several image routes; see `make_tour`."""
 
-    Attributes:
-        reference: the map, R images.
-        query: the run, as many; ``query[q]`` reads image q and applies its condition.
-        spells: in rising order; the first begins at frame 0.
-        seed: of the spells and of all that the conditions draw.
-        names: of each part, its folders.
-    """
-
-    reference: ImageFolder
-    query: ImageFolder
-    spells: tuple[Spell, ...]
-    seed: int
-    names: tuple[str, ...] = field(repr=False)
+    reference: ImageFolder  # the map, R images
+    query: ImageFolder  # the run, as many; ``query[q]`` reads image q and applies its condition
+    spells: tuple[Spell, ...]  # in rising order; the first begins at frame 0
+    seed: int  # of the spells and of all that the conditions draw
+    names: tuple[str, ...] = field(repr=False)  # of each part, its folders
 
     def ground_truth(self, tolerance: int) -> GroundTruth:
         """Frame q is at place q, ± ``tolerance`` places, but never in another part.

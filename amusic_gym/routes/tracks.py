@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from amusic_gym.banks.truth_files import numbers_by_name
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.positions import Positions
+from amusic_gym.utils.names import few
 
 GAP = 1.0
 """Seconds that an image may be taken before or after the nearest position in time."""
@@ -26,18 +27,13 @@ _UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # clock times above these: 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Positions of a file, before they are those of images.
+    """Positions of a file, before they are those of images."""
 
-    Attributes:
-        positions: one per row.
-        names: of images; None where rows have none.
-        numbers: (N,) of frames, counted from 0; None where rows have none.
-        seconds: (N,), rising where they are what tells an image; None where rows have none.
-    """
-
-    positions: Positions
-    names: Sequence[str] | None = None
+    positions: Positions  # one per row
+    names: Sequence[str] | None = None  # of images; None where rows have none
+    # (N,) of frames, counted from 0; None where rows have none
     numbers: NDArray[np.float64] | None = None
+    # (N,), rising where they are what tells an image; None where rows have none
     seconds: NDArray[np.float64] | None = None
 
     def of_images(self, folder: ImageFolder) -> Positions:
@@ -156,8 +152,7 @@ def heading_of(x: Floats, y: Floats, z: Floats, w: Floats) -> Floats:
 def refuse_missing(source: str, missing: Sequence[str], what: str) -> None:
     """Refuse a source that lacks the positions of some images, naming a few."""
     if missing:
-        more = f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
         raise ValueError(
-            f"{source} has no position of {len(missing)} {what}: {', '.join(missing[:_NAMED])}"
-            f"{more}; add them, or leave these images out (--order)"
+            f"{source} has no position of {len(missing)} {what}: {few(missing, _NAMED)}"
+            "; add them, or leave these images out (--order)"
         )

@@ -8,7 +8,6 @@ import time
 import warnings
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from amusic_gym.routes.images import MAX_PIXELS
 from amusic_gym.techniques.protocol import Image
 from amusic_gym.utils import storage
 from amusic_gym.utils.checks import whole
+from amusic_gym.utils.closing import Closing
 from amusic_gym.utils.names import suggest
 
 CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
@@ -287,7 +287,7 @@ class Quiet:
         log.setLogLevel(self._level)
 
 
-class VideoWriter:
+class VideoWriter(Closing):
     """Writes pictures to a video, under a temporary name until it is closed.
 
     Use it as a context manager: leaving the block finishes the file, also by Ctrl-C or an error,
@@ -379,11 +379,3 @@ class VideoWriter:
         found = capture.read()[0]
         capture.release()
         return bool(found and count >= self._written)  # one more where a signal came between
-
-    def __enter__(self) -> VideoWriter:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
-    ) -> None:
-        self.close()

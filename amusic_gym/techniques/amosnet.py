@@ -96,12 +96,8 @@ class AMOSNet(Technique):
                 f"--weights {self.name.lower()}={self.name}.caffemodel"
             )
         file = read_weights(weights)
-        part = file.under("conv1.weight")
-        if part is None:
-            raise file.missing(self.name, "conv1.weight")
-        with torch.device("meta"):
-            network = PlaceNetwork()
-        self._network = load_layers(network, partial(part.layer, self.name))
+        part = file.part(self.name, "conv1.weight")
+        self._network = load_layers(PlaceNetwork, partial(part.layer, self.name))
         self._digest = file.digest
         self._mean, self._mean_digest = _mean(argument)
 
@@ -110,11 +106,7 @@ class AMOSNet(Technique):
         return {"weights": self._digest, "mean": self._mean_digest, "size": SIZE}
 
     def describe(self, image: Image) -> Descriptor:
-        """(7680,), channel by channel; none below 0.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(7680,), channel by channel; none below 0."""
         check_image(image)
         small = cv2.resize(image, (SIZE, SIZE), interpolation=cv2.INTER_LINEAR)
         values = torch.from_numpy(small.astype(np.float32) - self._mean)

@@ -71,18 +71,14 @@ class _Network(Technique):
         return {"network": self._digest, "recipe": self._recipe.digest, "device": self._device}
 
     def describe(self, image: Image) -> Descriptor:
-        """(D,) float32, of length 1 where the metric is the cosine.
-
-        Raises:
-            ValueError: for an array that is no image, or a network that gives no descriptor.
-        """
+        """(D,) float32, of length 1 where the metric is the cosine."""
         return self.describe_batch([image])[0]
 
     def describe_batch(self, images: Sequence[Image]) -> list[Descriptor]:
         """Descriptors of several images, computed at once where they become one size.
 
         Raises:
-            ValueError: as :meth:`describe`.
+            ValueError: for an array that is no image, or a network that gives no descriptor.
         """
         inputs = [self._recipe.input.apply(image) for image in images]
         if len({x.shape for x in inputs}) == 1:

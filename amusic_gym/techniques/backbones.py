@@ -20,7 +20,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from amusic_gym.techniques.netvlad_weights import VGG16_LAYERS, matlab_convolutions, matlab_mean
+from amusic_gym.techniques.netvlad_weights import (
+    VGG16_LAYERS,
+    matlab_convolutions,
+    matlab_layer,
+    matlab_mean,
+)
 from amusic_gym.techniques.networks import conv_layers, load_layers
 from amusic_gym.techniques.preparation import Preparation, Triple, check_image
 from amusic_gym.techniques.protocol import Image
@@ -35,19 +40,12 @@ _FIRST_ALEXNET = "layers.12.weights.0"
 
 @dataclass(frozen=True)
 class Backbone:
-    """A convolutional network and the colours it expects.
+    """A convolutional network and the colours it expects."""
 
-    Attributes:
-        layers: (B, 3, H, W) -> (B, C, h, w), none below 0.
-        channels: C.
-        mean: of red, green and blue in 0–255; is subtracted.
-        deviation: of red, green and blue in 0–255; divides.
-    """
-
-    layers: nn.Module
-    channels: int
-    mean: Triple
-    deviation: Triple
+    layers: nn.Module  # (B, 3, H, W) -> (B, C, h, w), none below 0
+    channels: int  # C
+    mean: Triple  # of red, green and blue in 0–255; is subtracted
+    deviation: Triple  # of red, green and blue in 0–255; divides
 
     def features(self, image: Image) -> Tensor:
         """Feature map (1, C, h, w) of an image in its own size.
@@ -86,14 +84,12 @@ def load_backbone(file: WeightFile) -> Backbone:
 
 def _vgg16(file: WeightFile, mean: Triple, deviation: Triple, *, pool: bool) -> Backbone:
     """VGG16; ``pool``: with the pooling after its last ReLU."""
-    layer = partial(_layer, file, "layers" if pool else "")
+    layer = partial(_matlab_layer, file) if pool else partial(file.layer, "R-MAC")
     stages = tuple(
         tuple(len(layer(f"{number}.weight", None, None, 3, 3)) for number in stage)
         for stage in VGG16_LAYERS
     )
-    with torch.device("meta"):
-        network = conv_layers(stages)
-    load_layers(network, layer)
+    network = load_layers(partial(conv_layers, stages), layer)
     network.append(nn.ReLU())
     if pool:
         network.append(nn.MaxPool2d(2))
@@ -103,24 +99,22 @@ def _vgg16(file: WeightFile, mean: Triple, deviation: Triple, *, pool: bool) -> 
 def _alexnet(file: WeightFile, mean: Triple) -> Backbone:
     """Caffe's AlexNet up to pool5, its layers numbered as MatConvNet's."""
     widths = [3]
-    layer = partial(_layer, file, "layers")
+    layer = partial(_matlab_layer, file)
     for number, size in ((0, 11), (4, 5), (8, 3), (10, 3), (12, 3)):
         widths.append(len(layer(f"{number}.weight", None, None, size, size)))
     norm, pool = partial(nn.LocalResponseNorm, 5, 1e-4, 0.75, 1.0), partial(nn.MaxPool2d, 3, 2)
-    with torch.device("meta"):
-        network = nn.Sequential(
+
+    def build() -> nn.Sequential:
+        return nn.Sequential(
             *(nn.Conv2d(3, widths[1], 11, 4), nn.ReLU(), norm(), pool()),
             *(nn.Conv2d(widths[1], widths[2], 5, padding=2, groups=2), nn.ReLU(), norm(), pool()),
             *(nn.Conv2d(widths[2], widths[3], 3, padding=1), nn.ReLU()),
             *(nn.Conv2d(widths[3], widths[4], 3, padding=1, groups=2), nn.ReLU()),
             *(nn.Conv2d(widths[4], widths[5], 3, padding=1, groups=2), nn.ReLU(), pool()),
         )
-    return Backbone(load_layers(network, layer), widths[-1], mean, (1.0, 1.0, 1.0))
+
+    return Backbone(load_layers(build, layer), widths[-1], mean, (1.0, 1.0, 1.0))
 
 
-def _layer(file: WeightFile, matlab: str, name: str, *shape: int | None) -> NDArray[np.float32]:
-    """A layer by its number in the network, ``28.weight``, under the file's name."""
-    if matlab:
-        number, part = name.split(".")
-        name = f"{matlab}.{number}.weights.{'0' if part == 'weight' else '1'}"
-    return file.layer("R-MAC", name, *shape)
+def _matlab_layer(file: WeightFile, name: str, *shape: int | None) -> NDArray[np.float32]:
+    return file.layer("R-MAC", matlab_layer(name), *shape)

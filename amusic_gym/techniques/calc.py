@@ -46,11 +46,7 @@ class CALC(Technique):
         return {"weights": self._digest, "width": 160, "height": 120}
 
     def describe(self, image: Image) -> Descriptor:
-        """(1064,) of length 1; all zeros where the network gives nothing.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(1064,) of length 1; all zeros where the network gives nothing."""
         grey = torch.from_numpy(prepare_calc(image)).unsqueeze(0)  # (1, 1, 120, 160)
         with torch.inference_mode():
             descriptor: Descriptor = F.normalize(self._encoder(grey))[0].numpy()
@@ -64,15 +60,11 @@ def load_calc(file: WeightFile) -> CALCEncoder:
         ValueError: naming the first layer that is missing, of another shape, or not finite.
     """
     file.description(CALC.name)  # refuses what another technique saved
-    part = file.under("conv1.weight")
-    if part is None:
-        raise file.missing(CALC.name, "conv1.weight")
-    with torch.device("meta"):
-        encoder = CALCEncoder()
+    part = file.part(CALC.name, "conv1.weight")
     if FLOOR_POOLING in file.metadata:
         warnings.warn(
             f"{file.path} pools in floor mode, which gives 936 values; its weights are used with "
             "ceil mode, 1064 values, as in CALC's own network",
             stacklevel=3,
         )
-    return load_layers(encoder, partial(part.layer, CALC.name))
+    return load_layers(CALCEncoder, partial(part.layer, CALC.name))

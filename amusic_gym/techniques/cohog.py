@@ -59,20 +59,12 @@ class CoHOG(Technique):
         }
 
     def describe(self, image: Image) -> Descriptor:
-        """(32, 9, 32): cells, and the inverse lengths of the regions.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(32, 9, 32): cells, and the inverse lengths of the regions."""
         cells = cells_of(_grey(image))
         return _joined(cells, inverse_lengths(cells))
 
     def describe_query(self, image: Image) -> Descriptor:
-        """(32, 9, 32): cells, and the weights of the regions. Without any of interest all count.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(32, 9, 32): cells, and the weights of the regions. Without any of interest all count."""
         grey = _grey(image)
         cells = cells_of(grey)
         interest = regions_of_interest(grey)
@@ -82,17 +74,10 @@ class CoHOG(Technique):
         return _joined(cells, weights)
 
     def match(self, query: Descriptor, references: Descriptor) -> NDArray[np.float32]:
-        """Score of a query with each of B references, 0 to 1.
+        """Scores (B,) of a query (32, 9, 32) with references (B, 32, 9, 32), 0 to 1.
 
         A score has the same bits whatever other references it is computed with. Python's lock is
         free meanwhile, so several threads may match at once.
-
-        Args:
-            query: (32, 9, 32), from :meth:`describe_query`.
-            references: (B, 32, 9, 32), from :meth:`describe`.
-
-        Returns:
-            (B,) float32.
 
         Raises:
             ValueError: for descriptors of another shape.

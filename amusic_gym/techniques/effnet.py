@@ -7,6 +7,7 @@ without being imported, so no code of it runs.
 from __future__ import annotations
 
 import importlib.util
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -160,12 +161,9 @@ class EffNet(Technique):
         if block != LAST_BLOCK:
             self.name = f"{self.name}-{block}"
         file = _installed() if weights is None else read_weights(weights)
-        part = file.under("_conv_stem.weight")
-        if part is None:
-            raise file.missing("EffNet", "_conv_stem.weight")
-        with torch.device("meta"):
-            network = EfficientNetLite0(block)
-        self._network = load_layers(network, lambda *layer: part.layer("EffNet", *layer))
+        part = file.part("EffNet", "_conv_stem.weight")
+        network = partial(EfficientNetLite0, block)
+        self._network = load_layers(network, partial(part.layer, "EffNet"))
         self._digest = file.digest
 
     def parameters(self) -> Parameters:
@@ -173,11 +171,7 @@ class EffNet(Technique):
         return {"weights": self._digest, "block": self._block, "size": INPUT.width}
 
     def describe(self, image: Image) -> Descriptor:
-        """(D,) of length 1.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(D,) of length 1."""
         with torch.inference_mode():
             features = self._network(INPUT.apply(image)[None])  # (1, C, h, w)
             descriptor: Descriptor = self._aggregate(features)[0].numpy()

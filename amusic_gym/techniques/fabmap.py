@@ -91,19 +91,11 @@ class FABMAP(Technique):
         return words_of(local_features(image), self._vocabulary)
 
     def describe(self, image: Image) -> Descriptor:
-        """(V + 1,) the words, and 1.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(V + 1,) the words, and 1."""
         return np.append(self.words(image), True).astype(np.float32)
 
     def describe_query(self, image: Image) -> Descriptor:
-        """(V + 1,) what each word of a place adds to the log-likelihood, and its constant.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(V + 1,) what each word of a place adds to the log-likelihood, and its constant."""
         weights, constant = self._tree.likelihood_terms(self.words(image))
         return np.append(weights, constant).astype(np.float32)
 

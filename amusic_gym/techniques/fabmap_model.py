@@ -7,15 +7,13 @@ did, and e whether it is really there.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from amusic_gym.techniques.weight_files import DESCRIPTION, FORMAT_VERSION, WeightFile
-from amusic_gym.utils.storage import write_whole
+from amusic_gym.techniques.weight_files import WeightFile, write_weights
 
 P_SEEN = 0.39
 """Probability that a word that is there is seen; one that is not there never is."""
@@ -37,19 +35,12 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class ChowLiuTree:
-    """Words that depend on one other word each.
+    """Words that depend on one other word each."""
 
-    Attributes:
-        parent: (V,) the word that each depends on; a root is its own.
-        p: (V,) probability of seeing a word.
-        p1: (V,) likewise where its parent is seen.
-        p0: (V,) likewise where its parent is not seen.
-    """
-
-    parent: NDArray[np.int64]
-    p: Floats
-    p1: Floats
-    p0: Floats
+    parent: NDArray[np.int64]  # (V,) the word that each depends on; a root is its own
+    p: Floats  # (V,) probability of seeing a word
+    p1: Floats  # (V,) likewise where its parent is seen
+    p0: Floats  # (V,) likewise where its parent is not seen
 
     @classmethod
     def learn(cls, seen: Bools) -> ChowLiuTree:
@@ -118,18 +109,9 @@ class ChowLiuTree:
         Raises:
             ValueError: for another ending of the name.
         """
-        from safetensors.numpy import save
-
-        path = Path(path)
-        if path.suffix != ".safetensors":
-            raise ValueError(f"{path} should end in .safetensors; rename it")
-        text = json.dumps(
-            {"format_version": FORMAT_VERSION, "technique": TECHNIQUE, "training": training},
-            sort_keys=True,
-        )
         arrays = {"parent": self.parent.astype(np.float64), "p": self.p, "p1": self.p1}
         arrays |= {"p0": self.p0, "vocabulary": vocabulary.astype(np.float32)}
-        return write_whole(path, save(arrays, {DESCRIPTION: text}))
+        return write_weights(path, arrays, {"technique": TECHNIQUE, "training": training})
 
     @classmethod
     def read(cls, file: WeightFile, length: int) -> tuple[ChowLiuTree, NDArray[np.float32]]:

@@ -57,11 +57,7 @@ class GIST(_GIST):
     orientations = (8, 8, 8, 8)
 
     def describe(self, image: Image) -> Descriptor:
-        """(512,); near zero for an image without contrast.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(512,); near zero for an image without contrast."""
         check_image(image)
         grey = image.mean(axis=2, dtype=np.float64)
         height, width = grey.shape
@@ -87,11 +83,7 @@ class LearGIST(_GIST):
     orientations = (8, 8, 4)
 
     def describe(self, image: Image) -> Descriptor:
-        """(960,), red first; near zero for an image without contrast.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(960,), red first; near zero for an image without contrast."""
         check_image(image)
         height, width = image.shape[:2]
         if min(height, width) < BLOCKS:  # a block needs a pixel

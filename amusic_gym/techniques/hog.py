@@ -36,11 +36,7 @@ class HOG(Technique):
         return {"size": SIZE, "cell": CELL, "stride": STRIDE, "bins": BINS}
 
     def describe(self, image: Image) -> Descriptor:
-        """(35721,) of length 1; all zeros for an image without any gradient.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(35721,) of length 1; all zeros for an image without any gradient."""
         check_image(image)
         square = cv2.resize(image, (SIZE, SIZE), interpolation=cv2.INTER_LINEAR)
         window, cell, stride = (SIZE, SIZE), (CELL, CELL), (STRIDE, STRIDE)

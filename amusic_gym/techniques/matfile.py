@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -59,17 +60,15 @@ def read_matfile(data: bytes, most: int) -> dict[str, Any]:
     return found
 
 
+@dataclass
 class _Reader:
     """Reads elements: a type, a number of bytes, and the bytes.
 
-    Args:
-        order: of bytes.
-        left: bytes that arrays and unpacked elements may still have.
+    ``left`` is how many bytes arrays and unpacked elements may still have.
     """
 
-    def __init__(self, order: Literal["<", ">"], left: int) -> None:
-        self.order = order
-        self.left = left
+    order: Literal["<", ">"]  # of bytes
+    left: int
 
     def take(self, size: int) -> None:
         """Count bytes before they are allocated."""

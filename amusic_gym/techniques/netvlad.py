@@ -51,11 +51,7 @@ class NetVLAD(Technique):
         }
 
     def describe(self, image: Image) -> Descriptor:
-        """(P,) of length 1, or (K·C,) with weights that have no whitening.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(P,) of length 1, or (K·C,) with weights that have no whitening."""
         colours = torch.from_numpy(self._preparation.apply(image)).unsqueeze(0)  # (1, 3, H, W)
         with torch.inference_mode():
             descriptor: Descriptor = self._network(colours)[0].numpy()

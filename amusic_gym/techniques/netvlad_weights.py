@@ -21,10 +21,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from amusic_gym.techniques.networks import NetVLADNetwork, NetVLADWidths, load_layers
@@ -61,19 +61,12 @@ PYTORCH = (
 
 @dataclass(frozen=True)
 class _Family:
-    """How one family's file is read.
+    """How one family's file is read."""
 
-    Attributes:
-        file: its arrays, in the shapes of our modules.
-        name: our layer's name -> the file's.
-        descriptor_major: the order of flattening.
-        preparation: what its input is.
-    """
-
-    file: WeightFile
-    name: Callable[[str], str]
-    descriptor_major: bool
-    preparation: Preparation
+    file: WeightFile  # its arrays, in the shapes of our modules
+    name: Callable[[str], str]  # our layer's name -> the file's
+    descriptor_major: bool  # the order of flattening
+    preparation: Preparation  # what its input is
 
 
 def load_netvlad(file: WeightFile) -> tuple[NetVLADNetwork, Preparation]:
@@ -94,9 +87,10 @@ def load_netvlad(file: WeightFile) -> tuple[NetVLADNetwork, Preparation]:
 
 
 def _build(file: WeightFile, widths: NetVLADWidths, name: Callable[[str], str]) -> NetVLADNetwork:
-    with torch.device("meta"):
-        network = NetVLADNetwork(widths)
-    return load_layers(network, lambda ours, *shape: file.layer("NetVLAD", name(ours), *shape))
+    def layer(ours: str, *shape: int) -> NDArray[np.float32]:
+        return file.layer("NetVLAD", name(ours), *shape)
+
+    return load_layers(partial(NetVLADNetwork, widths), layer)
 
 
 def _read_description(
@@ -158,7 +152,12 @@ def _matlab(file: WeightFile) -> _Family | None:
 def _matlab_name(ours: str) -> str:
     if not ours.startswith("backbone"):
         return MATLAB_NAMES.get(ours, ours)
-    _, number, part = ours.split(".")
+    return matlab_layer(ours.removeprefix("backbone."))
+
+
+def matlab_layer(name: str) -> str:
+    """MatConvNet's name of a layer's weights or bias: ``28.weight`` -> ``layers.28.weights.0``."""
+    number, part = name.split(".")
     return f"layers.{number}.weights.{'0' if part == 'weight' else '1'}"
 
 

@@ -22,27 +22,20 @@ INTERPOLATIONS = ("bilinear", "bicubic")
 class NetworkInput:
     """Size and colours of a network's input.
 
-    Attributes:
-        height: pixels.
-        width: pixels.
-        resize: ``"stretch"`` to height and width; ``"crop"`` the middle after the image covers
-            them; ``"shorter"``: the shorter side to the smaller of the two, proportions kept.
-        multiple: with ``"shorter"``: both sides are rounded to multiples of this.
-        interpolation: ``"bilinear"`` or ``"bicubic"``, smoothed where the image shrinks.
-        mean: of red, green and blue in 0–255; is subtracted.
-        deviation: of red, green and blue in 0–255; divides.
-
     Raises:
         ValueError: for values that make no input.
     """
 
-    height: int
-    width: int
+    height: int  # pixels
+    width: int  # pixels
+    # ``"stretch"`` to height and width; ``"crop"`` the middle after the image covers them;
+    # ``"shorter"``: the shorter side to the smaller of the two, proportions kept
     resize: str = "stretch"
-    multiple: int = 1
+    multiple: int = 1  # with ``"shorter"``: both sides are rounded to multiples of this
+    # ``"bilinear"`` or ``"bicubic"``, smoothed where the image shrinks
     interpolation: str = "bilinear"
-    mean: Triple = Preparation.mean
-    deviation: Triple = Preparation.deviation
+    mean: Triple = Preparation.mean  # of red, green and blue in 0–255; is subtracted
+    deviation: Triple = Preparation.deviation  # of red, green and blue in 0–255; divides
 
     def __post_init__(self) -> None:
         """Refuse what makes no input."""

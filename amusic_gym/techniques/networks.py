@@ -23,9 +23,6 @@ from amusic_gym.utils.checks import whole
 Stages: TypeAlias = tuple[tuple[int, ...], ...]
 Network = TypeVar("Network", bound=nn.Module)
 
-VGG16_STAGES: Stages = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
-"""Channels of VGG16's convolutions; a 2×2 pooling halves the image between two stages."""
-
 COMPACT_STAGES: Stages = ((16, 16), (32, 32), (64, 64), (128, 128))
 """Channels of a backbone small enough to ship."""
 
@@ -49,14 +46,7 @@ class CALCEncoder(nn.Module):
         self.norm = nn.LocalResponseNorm(size=5, alpha=1e-4, beta=0.75, k=1.0)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Descriptors, not yet of length 1.
-
-        Args:
-            images: (B, 1, 120, 160) grey, 0 to 1.
-
-        Returns:
-            (B, 1064) float32, none below 0.
-        """
+        """(B, 1, 120, 160) grey, 0 to 1 -> (B, 1064), none below 0, not yet of length 1."""
         first = self.norm(self.pool(torch.relu(self.conv1(images))))  # (B, 64, 31, 41)
         second = self.norm(self.pool(torch.relu(self.conv2(first))))  # (B, 128, 16, 21)
         return torch.relu(self.conv3(second)).flatten(1)  # (B, 4, 14, 19) -> (B, 1064)
@@ -140,14 +130,7 @@ class NetVLADPooling(nn.Module):
         self.centroids = nn.Parameter(centroids)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Residuals, of length 1 per word.
-
-        Args:
-            features: (B, C, h, w).
-
-        Returns:
-            (B, K, C).
-        """
+        """Residuals, of length 1 per word: (B, C, h, w) -> (B, K, C)."""
         local = F.normalize(features.flatten(2), dim=1).transpose(1, 2)  # (B, N, C)
         shares = torch.softmax(self.assignment(local), dim=2).transpose(1, 2)  # (B, K, N)
         sums = shares @ local - shares.sum(2, keepdim=True) * self.centroids  # (B, K, C)
@@ -210,13 +193,15 @@ class NetVLADNetwork(nn.Module):
         return copy
 
 
-def load_layers(network: Network, layer: Callable[..., NDArray[np.float32]]) -> Network:
-    """Give a network its weights and make it ready for use: no gradients, no training mode.
+def load_layers(build: Callable[[], Network], layer: Callable[..., NDArray[np.float32]]) -> Network:
+    """A network with its weights, ready for use: no gradients, no training mode.
 
     Args:
-        network: best built on PyTorch's device ``meta``: no memory, no random numbers.
+        build: gives the network.
         layer: name and shape of a layer -> its weights.
     """
+    with torch.device("meta"):  # no memory, no random numbers
+        network = build()
     tensors = {
         name: torch.from_numpy(layer(name, *tensor.shape))
         for name, tensor in network.state_dict().items()

@@ -35,12 +35,7 @@ def guarded(
 
     The techniques that ship refuse with sentences of their own, which stay as they are.
 
-    Args:
-        what: the beginning of the sentence, say ``technique 'X'``.
-        owner: the technique, its class or its factory.
-        call: what to call.
-        given: its arguments.
-        options: its named arguments.
+    ``what`` is the beginning of the sentence, ``owner`` the technique, its class or its factory.
 
     Raises:
         ValueError: with the error's kind and text and where in somebody's own code it was raised;

@@ -39,7 +39,11 @@ class Technique:
         return {}
 
     def describe(self, image: Image) -> Descriptor:
-        """Descriptor of an image, as the map holds it."""
+        """Descriptor of an image, as the map holds it.
+
+        Raises:
+            ValueError: for an array that is no image.
+        """
         raise NotImplementedError(f"{type(self).__name__} must define describe(image)")
 
     def describe_batch(self, images: Sequence[Image]) -> list[Descriptor]:

@@ -40,29 +40,17 @@ KEYS = (
 
 @dataclass(frozen=True)
 class Recipe:
-    """A network's input, output and metric.
+    """A network's input, output and metric."""
 
-    Attributes:
-        name: in tables.
-        input: how images are prepared.
-        output: number or name of the network's output.
-        metric: how descriptors are compared.
-        digest: SHA-256 of the file.
-    """
-
-    name: str
-    input: NetworkInput
-    output: int | str
-    metric: str
-    digest: str
+    name: str  # in tables
+    input: NetworkInput  # how images are prepared
+    output: int | str  # number or name of the network's output
+    metric: str  # how descriptors are compared
+    digest: str  # SHA-256 of the file
 
     @classmethod
     def read(cls, path: Path, name: str) -> Recipe:
-        """A recipe's file.
-
-        Args:
-            path: the file.
-            name: where it has none.
+        """A recipe's file; ``name`` is for one without.
 
         Raises:
             FileNotFoundError: when there is no such file.

@@ -54,21 +54,14 @@ def _starts(size: int, side: int, count: int) -> list[int]:
 
 @dataclass(frozen=True)
 class RMAC:
-    """Pooling of feature maps to descriptors of length 1.
+    """Pooling of feature maps to descriptors of length 1."""
 
-    Attributes:
-        levels: sizes of regions.
-        whole: whether the whole map is one more region, as in ``cirtorch``.
-        mean: (D,), is subtracted from a region's vector of length 1; None: no whitening.
-        projection: (D, k), multiplies it then from the right.
-        digest: SHA-256 of the whitening's file.
-    """
-
-    levels: int = LEVELS
-    whole: bool = False
+    levels: int = LEVELS  # sizes of regions
+    whole: bool = False  # whether the whole map is one more region, as in ``cirtorch``
+    # (D,), is subtracted from a region's vector of length 1; None: no whitening
     mean: Tensor | None = None
-    projection: Tensor | None = None
-    digest: str = ""
+    projection: Tensor | None = None  # (D, k), multiplies it then from the right
+    digest: str = ""  # SHA-256 of the whitening's file
 
     @classmethod
     def of(cls, channels: int, *, levels: int, whole: bool, whitening: str) -> RMAC:
@@ -144,10 +137,6 @@ class RMACTechnique(Technique):
         return {"weights": self._digest, **self._pooling.parameters()}
 
     def describe(self, image: Image) -> Descriptor:
-        """(C,) of length 1, or (k,) with a whitening.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(C,) of length 1, or (k,) with a whitening."""
         descriptor: Descriptor = self._pooling(self._backbone.features(image))[0].numpy()
         return descriptor

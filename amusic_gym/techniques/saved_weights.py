@@ -17,29 +17,20 @@ They are float32 or float16 (and are used as float32). The metadata has one entr
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors.numpy import save
 from torch import nn
 
 from amusic_gym.techniques.networks import CALCEncoder, NetVLADNetwork
 from amusic_gym.techniques.preparation import Preparation
-from amusic_gym.techniques.weight_files import DESCRIPTION, FORMAT_VERSION
-from amusic_gym.utils.storage import write_whole
+from amusic_gym.techniques.weight_files import write_weights
 
 
 def save_calc(path: str | Path, encoder: CALCEncoder, *, training: str, half: bool = False) -> Path:
     """Write CALC's weights, whole or not at all; the same weights give the same bytes.
-
-    Args:
-        path: a name that ends in ``.safetensors``.
-        encoder: the trained network.
-        training: how the weights were made, in plain words.
-        half: store float16, which takes half the room.
 
     Raises:
         ValueError: for weights that are not finite, as float16 if that is asked for.
@@ -77,9 +68,6 @@ def save_netvlad(
 
 
 def _save(path: str | Path, network: nn.Module, description: dict[str, Any], half: bool) -> Path:
-    path = Path(path)
-    if path.suffix != ".safetensors":
-        raise ValueError(f"{path} should end in .safetensors; rename it")
     arrays = {}
     for name, tensor in network.state_dict().items():
         with np.errstate(over="ignore"):
@@ -90,5 +78,4 @@ def _save(path: str | Path, network: nn.Module, description: dict[str, Any], hal
                 "train again" + (", or save without half" if half else "")
             )
         arrays[name] = array
-    text = json.dumps({"format_version": FORMAT_VERSION, **description}, sort_keys=True)
-    return write_whole(path, save(arrays, {DESCRIPTION: text}))
+    return write_weights(path, arrays, description)

@@ -21,11 +21,12 @@ from amusic_gym.techniques.weight_readers import (
     MOST_BYTES,
     READERS,
     Arrays,
-    Reader,
     RefusalError,
     refuse_bombs,
 )
+from amusic_gym.utils.names import few
 from amusic_gym.utils.reading import open_file
+from amusic_gym.utils.storage import write_whole
 
 FORMAT_VERSION = 1
 """Of our own layout (saved_weights.py); rises when stored weights would mean something else."""
@@ -38,19 +39,12 @@ PRETRAINED = Path(__file__).parent / "pretrained"
 
 @dataclass(frozen=True)
 class WeightFile:
-    """What a weights file holds.
+    """What a weights file holds."""
 
-    Attributes:
-        path: where it was read from.
-        digest: SHA-256 of its bytes, 64 hexadecimal digits.
-        arrays: name -> array of floating point numbers, in the shape the file gives it.
-        metadata: texts that the file holds besides.
-    """
-
-    path: Path
-    digest: str
-    arrays: Arrays
-    metadata: Mapping[str, str]
+    path: Path  # where it was read from
+    digest: str  # SHA-256 of its bytes, 64 hexadecimal digits
+    arrays: Arrays  # name -> array of floating point numbers, in the shape the file gives it
+    metadata: Mapping[str, str]  # texts that the file holds besides
 
     def description(self, technique: str) -> dict[str, Any] | None:
         """What a file in our layout says of itself; None for a file of another origin.
@@ -103,11 +97,18 @@ class WeightFile:
         arrays = {name[cut:]: plain[name] for name in plain if name.startswith(prefixes[0])}
         return WeightFile(self.path, self.digest, arrays, self.metadata)
 
+    def part(self, technique: str, anchor: str) -> WeightFile:
+        """As :meth:`under`, refused where there is no such array."""
+        found = self.under(anchor)
+        if found is None:
+            raise self.missing(technique, anchor)
+        return found
+
     def missing(self, technique: str, name: str) -> ValueError:
         """The refusal of a file without a layer."""
         return ValueError(
             f"{self.path} has no layer {name}, which {technique} needs; it holds "
-            f"{shortened(list(self.arrays))}: give weights of {technique}"
+            f"{few(list(self.arrays), 4) or 'no weights'}: give weights of {technique}"
         )
 
     def layer(self, technique: str, name: str, *shape: int | None) -> NDArray[np.float32]:
@@ -148,10 +149,21 @@ def _plain(name: str) -> str:
     return ".".join(piece for piece in pieces if piece != "module")
 
 
-def shortened(names: list[str], most: int = 4) -> str:
-    """A few of the names, and how many more there are."""
-    rest = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + rest if names else "no weights"
+def write_weights(
+    path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], description: dict[str, Any]
+) -> Path:
+    """Write weights in our layout, whole or not at all.
+
+    Raises:
+        ValueError: for a name that does not end in ``.safetensors``.
+    """
+    from safetensors.numpy import save
+
+    path = Path(path)
+    if path.suffix != ".safetensors":
+        raise ValueError(f"{path} should end in .safetensors; rename it")
+    text = json.dumps({"format_version": FORMAT_VERSION, **description}, sort_keys=True)
+    return write_whole(path, save(dict(arrays), {DESCRIPTION: text}))
 
 
 def shipped(name: str) -> Path:
@@ -182,7 +194,11 @@ def read_weights(path: str | os.PathLike[str]) -> WeightFile:
     """
     path = Path(path)
     with open_file(path) as file:
-        read = _reader(path)
+        read = READERS.get(path.suffix.lower())
+        if read is None:
+            raise ValueError(
+                f"{path} is no weights file by its name; known endings: {', '.join(READERS)}"
+            )
         size = os.fstat(file.fileno()).st_size
         if size == 0:
             raise ValueError(f"{path} is empty; copy or download it again")
@@ -204,12 +220,3 @@ def read_weights(path: str | os.PathLike[str]) -> WeightFile:
         ) from None
     floats = {name: array for name, array in arrays.items() if array.dtype.kind == "f"}
     return WeightFile(path, hashlib.sha256(data).hexdigest(), floats, metadata)
-
-
-def _reader(path: Path) -> Reader:
-    read = READERS.get(path.suffix.lower())
-    if read is None:
-        raise ValueError(
-            f"{path} is no weights file by its name; known endings: {', '.join(READERS)}"
-        )
-    return read

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -19,11 +19,6 @@ def imports_of(text: bytes, module: str, *, is_package: bool) -> Iterator[str]:
     """Dotted names that a source file imports, with those that may be modules.
 
     What is imported inside a function counts; what is for type checkers only does not.
-
-    Args:
-        text: of the file.
-        module: its dotted name.
-        is_package: whether it is a package's ``__init__.py``.
     """
     try:
         pending: list[ast.AST] = [ast.parse(text)]
@@ -63,25 +58,19 @@ def source_files(
     entry: Path,
     *,
     package: Path = PACKAGE,
-    without: Collection[str] = (),
     lazily: bool = True,
 ) -> tuple[Path, ...]:
     """A source file, and the files of a package that it depends on.
 
     A parent package's ``__init__.py`` is not among them unless its names are imported from it.
 
-    Args:
-        entry: the file.
-        package: folder of the package.
-        without: dotted names of modules and subpackages that do not matter, nor what only they
-            import.
-        lazily: whether imports inside functions count; else those before the first definition do.
+    With ``lazily`` imports inside functions count, else those before the first definition.
     """
     files = [entry]
     pending = list(_imported(entry, package, lazily))
     seen: set[str] = set()
     for name in pending:  # grows while it is walked
-        if name in seen or any(f"{name}.".startswith(f"{other}.") for other in without):
+        if name in seen:
             continue
         seen.add(name)
         at = package.parent.joinpath(*name.split("."))

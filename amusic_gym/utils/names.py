@@ -18,11 +18,6 @@ def suggest(kind: str, value: object, valid: Iterable[str]) -> str:
 
     >>> suggest("technique", "HGO", ["HOG", "CALC"])
     "unknown technique 'HGO': did you mean 'HOG'? valid: HOG, CALC"
-
-    Args:
-        kind: what is named, for example ``"technique"``.
-        value: what was given.
-        valid: the names there are, in the order to list them.
     """
     names = list(valid)
     near = nearest(value, names) if isinstance(value, str) else None
@@ -45,6 +40,16 @@ def distinct(names: Sequence[str], taken: Iterable[str] = ()) -> list[str]:
         used.add(candidate.casefold())
         given.append(candidate)
     return given
+
+
+def few(items: Sequence[str], most: int, between: str = ", ") -> str:
+    """The first of some items, and how many more there are.
+
+    >>> few(["a", "b", "c", "d"], 2)
+    'a, b and 2 more'
+    """
+    rest = f"{between.strip(', ')} and {len(items) - most} more" if len(items) > most else ""
+    return between.join(items[:most]) + rest
 
 
 def file_stem(name: str) -> str:

@@ -84,9 +84,7 @@ def read_array(path: str | os.PathLike[str]) -> NDArray[Any]:
 def open_file(path: Path, folder: int | None = None) -> BufferedReader:
     """The regular file ``path`` open for reading: a pipe would be waited for, a device never end.
 
-    Args:
-        path: the file.
-        folder: descriptor of the folder to find its name in; None: wherever ``path`` says.
+    Its name is looked for in the folder of the descriptor ``folder``; None: where ``path`` says.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -133,11 +131,8 @@ def read_regular(path: Path, limit: int, folder: int | None = None) -> bytes:
 def parse_json(content: bytes, path: Path, mend: str, kind: type = dict) -> Any:
     """The object that a JSON file holds; every number in it is finite as a float64.
 
-    Args:
-        content: of the file.
-        path: of the file, for messages.
-        mend: what to do about a damaged one, for messages.
-        kind: list, where it holds no object but a list.
+    ``mend`` says what to do about a damaged one; ``kind`` is list where it holds no object but a
+    list.
 
     Raises:
         ValueError: for anything else, also for what is nested too deep.

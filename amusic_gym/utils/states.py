@@ -28,12 +28,7 @@ def taken(value: Any, arrays: Arrays, skip: Collection[str] = (), where: str = "
     Of an object, that is its attributes, but for those that do not change: functions, modules of
     PyTorch, frozen dataclasses.
 
-    Args:
-        value: numbers, texts, arrays, generators of random numbers, lists, mappings, and objects
-            that hold such.
-        arrays: gets the arrays.
-        skip: names of attributes that are left out.
-        where: name of the value, for messages.
+    The arrays of ``value`` are numbered in ``arrays``; attributes named in ``skip`` are left out.
 
     Raises:
         TypeError: for anything else, naming it.
@@ -69,11 +64,7 @@ def taken(value: Any, arrays: Arrays, skip: Collection[str] = (), where: str = "
 def put_back(old: Any, saved: Any, arrays: Arrays, where: str = "") -> Any:
     """The value that ``taken`` gave ``saved`` and ``arrays`` for.
 
-    Args:
-        old: an equal one in another state; objects in it are changed in place.
-        saved: as JSON gives it back.
-        arrays: likewise.
-        where: name of the value, for messages.
+    ``old`` is an equal value in another state; objects in it are changed in place.
 
     Raises:
         ValueError: where the two are not alike.

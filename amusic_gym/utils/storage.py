@@ -20,14 +20,16 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from amusic_gym.utils.reading import read_json
+
+T = TypeVar("T")
 
 _PREFIX = ".amusic-"
 _UNFINISHED = f"{_PREFIX}*.tmp*"
 _WRITTEN = f"{_PREFIX}written.json"
-_OPEN_ATTEMPTS = 20
+_ATTEMPTS = 20
 _PATIENCE = 2.0
 """Seconds to wait for a lock without a word."""
 
@@ -50,7 +52,7 @@ def opened_folder(path: Path) -> Iterator[int]:
         ValueError: when it is a file.
     """
     flags = os.O_RDONLY | os.O_DIRECTORY
-    for last in (*[False] * _OPEN_ATTEMPTS, True):
+    for last in (*[False] * _ATTEMPTS, True):
         try:
             descriptor = os.open(path, flags)
             break
@@ -66,6 +68,22 @@ def opened_folder(path: Path) -> Iterator[int]:
         yield descriptor
     finally:
         os.close(descriptor)
+
+
+def read_whole(path: Path, kind: str, read: Callable[[int], T]) -> T:
+    """What ``read`` gives of a folder, given its descriptor; again where it is replaced meanwhile.
+
+    ``read`` fails with a FileNotFoundError or ValueError for what is not whole. A folder that is
+    replaced all the time is refused with a ValueError, called by its ``kind``.
+    """
+    for _ in range(_ATTEMPTS):
+        with opened_folder(path) as folder:
+            try:
+                return read(folder)
+            except (FileNotFoundError, ValueError):
+                if not was_replaced(path, folder):  # else: once more, from the new one
+                    raise
+    raise ValueError(f"{kind} {path} is being rewritten all the time; load it when that is over")
 
 
 def was_replaced(path: Path, descriptor: int) -> bool:
@@ -151,9 +169,6 @@ def replacing_file(path: Path) -> Iterator[Path]:
     Whatever happens (an error, a full disk, SIGKILL), ``path`` holds the old file or the new one,
     whole.
 
-    Args:
-        path: the final name; its parents are made.
-
     Raises:
         OSError: when writing fails; nothing at ``path`` has changed then.
     """
@@ -180,11 +195,6 @@ def keep_only(folder: Path, kind: str, files: Iterable[str | Path]) -> None:
     """Remove the files of a kind that an earlier run wrote to ``folder`` and this one did not.
 
     Only what was named in an earlier call is ever removed.
-
-    Args:
-        folder: with `_WRITTEN`, which remembers what was written.
-        kind: of files; others stay.
-        files: of this run, in ``folder`` or below.
     """
     path = folder / _WRITTEN
     written: dict[str, Any] = {}
@@ -208,11 +218,6 @@ def unfinished(
     """Yield a new file or folder in ``folder`` that is gone at the end, unless it was renamed.
 
     Its permissions are those that the umask gives. While it is locked nobody sweeps it.
-
-    Args:
-        folder: where.
-        suffix: end of its name.
-        make: makes it; default: an empty file.
     """
     while True:
         path = folder / f"{_PREFIX}{secrets.token_hex(8)}.tmp{suffix}"

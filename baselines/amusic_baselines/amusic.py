@@ -25,16 +25,10 @@ ROUNDING = 1e-9
 
 
 def differ(before: ArrayLike, after: ArrayLike, alpha: float = ALPHA) -> bool:
-    """Whether a paired, two-sided t-test rejects equal means.
+    """Whether a paired, two-sided t-test rejects equal means of (n,) values.
 
-    Args:
-        before: (n,) values.
-        after: (n,) values, paired with them.
-        alpha: significance level.
-
-    Returns:
-        False for fewer than two pairs and where all differences are zero; True for a constant
-        other difference.
+    Never for fewer than two pairs or where all differences are zero; always for a constant other
+    difference.
     """
     difference = (np.asarray(after, np.float64) - np.asarray(before, np.float64)).ravel()
     # Corrections are differences of running sums: equal ones may be off by the last bits.

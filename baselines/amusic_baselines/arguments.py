@@ -1,4 +1,4 @@
-"""Checks that the policies' ``NAME:ARGUMENT`` share."""
+"""Checks that the policies' ``NAME:ARGUMENT`` share; each refuses with a ValueError."""
 
 from __future__ import annotations
 
@@ -8,32 +8,20 @@ from amusic_gym.policies.protocol import Context
 
 
 def required(policy: str, argument: str | None, form: str) -> str:
-    """The argument of a policy that needs one.
-
-    Raises:
-        ValueError: if there is none.
-    """
+    """The argument of a policy that needs one."""
     if not argument:
         raise ValueError(f"policy {policy!r} needs an argument; write {policy}:{form}")
     return argument
 
 
 def none(policy: str, argument: str | None) -> None:
-    """Refuse the argument of a policy that takes none.
-
-    Raises:
-        ValueError: if there is one.
-    """
+    """Refuse the argument of a policy that takes none."""
     if argument is not None:
         raise ValueError(f"policy {policy!r} takes no argument, got {argument!r}; write {policy}")
 
 
 def parts(policy: str, argument: str, form: str) -> list[str]:
-    """The parts of an argument such as ``CHEAP/HOLD/THRESHOLD``, as many as ``form`` has.
-
-    Raises:
-        ValueError: for another number of parts.
-    """
+    """The parts of an argument such as ``CHEAP/HOLD/THRESHOLD``, as many as ``form`` has."""
     found = argument.split("/")
     if len(found) != len(form.split("/")):
         raise ValueError(f"{policy}:{argument} is not of the form {policy}:{form}; write it so")
@@ -41,11 +29,7 @@ def parts(policy: str, argument: str, form: str) -> list[str]:
 
 
 def columns(policy: str, argument: str, names: str, context: Context) -> list[int]:
-    """Indices of the techniques of ``A+B``, a part of ``argument`` or all of it.
-
-    Raises:
-        ValueError: for an unknown technique, or one named twice.
-    """
+    """Indices of the techniques of ``A+B``, a part of ``argument`` or all of it."""
     given = names.split("+")
     if len(set(given)) < len(given):
         raise ValueError(f"{policy}:{argument} names a technique twice; name each once")
@@ -68,11 +52,7 @@ def technique_parts(
 
 
 def whole(policy: str, argument: str, name: str, text: str, least: int, most: int) -> int:
-    """A whole number out of ``argument``, called ``name`` in the sentence that refuses.
-
-    Raises:
-        ValueError: for anything else, or one out of range.
-    """
+    """A whole number out of ``argument``, called ``name`` in the sentence that refuses."""
     short = text.isascii() and text.isdigit() and len(text) < 20  # Python refuses endless numbers
     if not (short and least <= int(text) <= most):
         raise ValueError(
@@ -84,11 +64,7 @@ def whole(policy: str, argument: str, name: str, text: str, least: int, most: in
 def number(
     policy: str, argument: str, name: str, text: str, least: float, most: float = math.inf
 ) -> float:
-    """A finite number out of ``argument``, called ``name`` in the sentence that refuses.
-
-    Raises:
-        ValueError: for anything else, or one out of range.
-    """
+    """A finite number out of ``argument``, called ``name`` in the sentence that refuses."""
     try:
         value = float(text)
     except ValueError:

@@ -8,6 +8,8 @@ second to last then counts as much as what is first. `DEPTH` was chosen on simul
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,15 +29,11 @@ def points(row: NDArray[np.float64], depth: int) -> NDArray[np.float64]:
     return np.maximum(0.0, 1.0 - rank / deepest)[level]
 
 
+@dataclass(eq=False)
 class Borda:
-    """Runs everything; each technique ranks the places.
+    """Runs everything; each technique ranks the places."""
 
-    Args:
-        depth: places of each ranking that get points.
-    """
-
-    def __init__(self, depth: int = DEPTH) -> None:
-        self.depth = depth
+    depth: int = DEPTH  # places of each ranking that get points
 
     def reset(self, references: int, techniques: int) -> None:
         """Nothing to forget; T may be another."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,32 +24,20 @@ DOUBTS = {"p": "p_correct", "margin": "margin"}
 """What a threshold may be of -> its name in the environment's infos."""
 
 
+@dataclass(eq=False)
 class Cascade:
     """Runs the cheapest techniques, and all others for some frames after p̂ falls low.
 
     The hold is a hysteresis: a technique needs some frames in a row before SIC profits from it.
-
-    Args:
-        cheap: how many techniques always run.
-        hold: frames for which the others run after a doubt.
-        threshold: p̂, or margin, below which there is doubt.
-        doubt: ``"p_correct"`` or ``"margin"``, the fused statistic's lead over its best rival.
     """
 
-    needs = Needs()
-
-    def __init__(
-        self,
-        cheap: int = CHEAP,
-        hold: int = HOLD,
-        threshold: float = THRESHOLD,
-        doubt: str = DOUBTS["p"],
-    ) -> None:
-        self.cheap = cheap
-        self.hold = hold
-        self.threshold = threshold
-        self.doubt = doubt
-        self._left = np.zeros(0, np.int64)  # (N,) frames for which the dear ones still run
+    cheap: int = CHEAP  # how many techniques always run
+    hold: int = HOLD  # frames for which the others run after a doubt
+    threshold: float = THRESHOLD  # p̂, or margin, below which there is doubt
+    doubt: str = DOUBTS["p"]  # or "margin", the fused statistic's lead over its best rival
+    needs: ClassVar = Needs()
+    # (N,) frames for which the dear ones still run
+    _left: NDArray[np.int64] = field(init=False, default_factory=lambda: np.zeros(0, np.int64))
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
         """Forget the doubts of the routes of ``mask``."""

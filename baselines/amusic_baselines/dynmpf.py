@@ -7,6 +7,7 @@ techniques too; of equally clear ones the smaller, then the one of lower techniq
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -46,15 +47,11 @@ def clearness(
     return peak, np.where(height > 0, 1.0 - rival / np.where(height > 0, height, 1.0), 0.0)
 
 
+@dataclass(eq=False)
 class DynamicFusion:
-    """Runs everything and believes the subset with the clearest peak.
+    """Runs everything and believes the subset with the clearest peak."""
 
-    Args:
-        radius: R, places to either side of a peak that belong to it.
-    """
-
-    def __init__(self, radius: int = RADIUS) -> None:
-        self.radius = radius
+    radius: int = RADIUS  # R, places to either side of a peak that belong to it
 
     def reset(self, references: int, techniques: int) -> None:
         """List the subsets."""

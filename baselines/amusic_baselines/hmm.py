@@ -8,6 +8,8 @@ likely. β and the jump rate were chosen on simulated routes, as they are and re
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,17 +35,12 @@ def advance(belief: NDArray[np.float64], jump: float) -> NDArray[np.float64]:
     return (1.0 - jump) * (moved + lost / belief.size) + jump / belief.size
 
 
+@dataclass(eq=False)
 class MarkovFilter:
-    """Runs everything; the place is the likeliest given all frames so far.
+    """Runs everything; the place is the likeliest given all frames so far."""
 
-    Args:
-        beta: β, weight of a z-score in the logarithm of the likelihood.
-        jump: chance per frame of being carried to any place.
-    """
-
-    def __init__(self, beta: float = BETA, jump: float = JUMP) -> None:
-        self.beta = beta
-        self.jump = jump
+    beta: float = BETA  # β, weight of a z-score in the logarithm of the likelihood
+    jump: float = JUMP  # chance per frame of being carried to any place
 
     def reset(self, references: int, techniques: int) -> None:
         """Know nothing of the place."""

@@ -9,6 +9,8 @@ row, and that is what it costs.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -52,15 +54,11 @@ def best_of_each(
     return np.unique(candidates[order])
 
 
+@dataclass(eq=False)
 class HierarchicalFusion:
-    """Runs everything; each tier of techniques looks at what the tier before passes on.
+    """Runs everything; each tier of techniques looks at what the tier before passes on."""
 
-    Args:
-        tiers: technique indices of each tier, at most three.
-    """
-
-    def __init__(self, tiers: list[NDArray[np.int64]]) -> None:
-        self.tiers = tiers
+    tiers: list[NDArray[np.int64]]  # technique indices of each, at most three
 
     def reset(self, references: int, techniques: int) -> None:
         """Nothing to forget but the number of techniques."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,11 +65,7 @@ def sequence_start(ratios: list[float]) -> int:
 
 
 def viterbi(emissions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Best path through log emissions (L, R).
-
-    Returns:
-        (L, R) logarithm of the best path to each place at each frame, and the best path (L,).
-    """
+    """Logarithms (L, R) of the best paths through log emissions (L, R), and the best one (L,)."""
     unexpected = math.log(EPSILON)
     values = emissions.copy()
     for before, now in zip(values[:-1], values[1:], strict=True):
@@ -87,15 +84,11 @@ def viterbi(emissions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArra
     return values, path
 
 
+@dataclass(eq=False)
 class MultiProcessFusion:
-    """Runs everything; the place is the end of the likeliest path through the last frames.
+    """Runs everything; the place is the end of the likeliest path through the last frames."""
 
-    Args:
-        radius: R, places to either side that count as the same match.
-    """
-
-    def __init__(self, radius: int = RADIUS) -> None:
-        self.radius = radius
+    radius: int = RADIUS  # R, places to either side that count as the same match
 
     def reset(self, references: int, techniques: int) -> None:
         """Forget the last frames."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,42 +44,29 @@ class Oracle:
         if mask.size != 1:
             raise ValueError(f"the oracle knows one route, not {mask.size}; run one at a time")
         foresight = _Belief if self.settings.statistic == "belief" else _Diagonals
-        self._foresight: _Foresight = foresight(self.bank, self.settings)
+        self._foresight = foresight(self.bank, self.settings)
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
         """One bit: the cheapest technique that will be right."""
         frame = int(info["frame"][0]) + 1
-        chosen = self._choose(frame)
+        right = (
+            technique
+            for technique in self._order
+            if self.bank.truth.is_true(self._foresight.place(technique, frame), frame)
+        )
+        chosen = next(right, self._order[0])
         self._foresight.take(chosen, frame)
         actions = np.zeros((1, len(self._order)), np.bool_)
         actions[0, chosen] = True
         return actions
 
-    def _choose(self, frame: int) -> int:
-        for technique in self._order:
-            place = self._foresight.place(technique, frame)
-            if self.bank.truth.correct(np.array([place]), np.array([frame]))[0]:
-                return int(technique)
-        return int(self._order[0])
-
-
-class _Foresight(Protocol):
-    """What the next frame would come to."""
-
-    def __init__(self, bank: ScoreBank, settings: SICSettings) -> None:
-        """Begin the route."""
-
-    def place(self, technique: int, frame: int) -> int:
-        """The prediction if only this technique ran on the frame."""
-        ...
-
-    def take(self, technique: int, frame: int) -> None:
-        """Let it run there."""
-        ...
-
 
 class _Diagonals:
-    """Each technique's own SIC: where one technique runs per frame, MuSIC takes its match."""
+    """Each technique's own SIC: where one technique runs per frame, MuSIC takes its match.
+
+    As :class:`_Belief`, it tells the `place` if only one technique ran on the next frame, and
+    lets it run there, `take`.
+    """
 
     def __init__(self, bank: ScoreBank, settings: SICSettings) -> None:
         from amusic_gym.estimation.sic.correction import SIC

@@ -6,6 +6,8 @@ A technique whose row is constant has no vote.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,15 +33,11 @@ def count_votes(rows: NDArray[np.float64], tolerance: int) -> tuple[int, float]:
     return int(place[winner]), float(strength[winner]) / len(rows)
 
 
+@dataclass(eq=False)
 class Plurality:
-    """Runs everything; each technique votes for its best place.
+    """Runs everything; each technique votes for its best place."""
 
-    Args:
-        tolerance: places to either side that count as the same.
-    """
-
-    def __init__(self, tolerance: int) -> None:
-        self.tolerance = tolerance
+    tolerance: int  # places to either side that count as the same
 
     def reset(self, references: int, techniques: int) -> None:
         """Nothing to forget; T may be another."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from amusic_baselines.arguments import required
@@ -10,15 +12,11 @@ from amusic_gym.policies.protocol import Context, Run
 from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
 
+@dataclass(eq=False)
 class Raw:
-    """Uncorrected matches of one technique; the raw score is the confidence.
+    """Uncorrected matches of one technique; the raw score is the confidence."""
 
-    Args:
-        technique: its index.
-    """
-
-    def __init__(self, technique: int) -> None:
-        self.technique = technique
+    technique: int  # its index
 
     def reset(self, references: int, techniques: int) -> None:
         """Nothing to forget."""

@@ -30,7 +30,9 @@ def standardised(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     rows = floored(rows)
     centred = rows - rows.mean(axis=-1, keepdims=True)
     deviation = centred.std(axis=-1, keepdims=True)
-    return np.where(_constant(rows), 0.0, centred / np.where(deviation > 0, deviation, 1.0))
+    # Asked of the extremes, because rounding can leave a constant row a σ that is not quite 0.
+    constant = rows.min(axis=-1, keepdims=True) == rows.max(axis=-1, keepdims=True)
+    return np.where(constant, 0.0, centred / np.where(deviation > 0, deviation, 1.0))
 
 
 def scaled(rows: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -44,9 +46,3 @@ def best_outside(values: NDArray[np.float64], place: int, radius: int) -> float 
     """The highest value (R,) more than ``radius`` places from ``place``; None: no place is."""
     sides = values[: max(0, place - radius)], values[place + radius + 1 :]
     return max((float(side.max()) for side in sides if side.size), default=None)
-
-
-def _constant(rows: NDArray[np.float64]) -> NDArray[np.bool_]:
-    # Asked of the extremes, because rounding can leave a constant row a σ that is not quite 0.
-    same: NDArray[np.bool_] = rows.min(axis=-1, keepdims=True) == rows.max(axis=-1, keepdims=True)
-    return same

@@ -39,16 +39,11 @@ UNSEEN = 1e-9  # density below which a score counts as never seen
 
 @dataclass(frozen=True)
 class Experience:
-    """What labelled routes say about T techniques.
+    """What labelled routes say about T techniques."""
 
-    Attributes:
-        score: (G,) rising z-scores of a row's best place.
-        p_right: (T, G) chance that a technique is right, given such a score.
-        helps: (T, T) share of the frames where technique i is wrong on which technique j is right.
-    """
-
-    score: NDArray[np.float64]
-    p_right: NDArray[np.float64]
+    score: NDArray[np.float64]  # (G,) rising z-scores of a row's best place
+    p_right: NDArray[np.float64]  # (T, G) chance that a technique is right, given such a score
+    # (T, T) share of the frames where technique i is wrong on which technique j is right
     helps: NDArray[np.float64]
 
     @classmethod
@@ -154,19 +149,13 @@ def _by_cost(bank: ScoreBank, names: Sequence[str]) -> ScoreBank:
     )
 
 
+@dataclass(eq=False)
 class SwitchHit:
-    """Runs the cheapest technique; while none is probably right, the one that helps most there.
+    """Runs the cheapest technique; while none is probably right, the one that helps most there."""
 
-    Args:
-        experience: of the route's techniques, in their order.
-        first: index of the technique to begin with.
-        threshold: τ, correctness at which it stops.
-    """
-
-    def __init__(self, experience: Experience, first: int, threshold: float = THRESHOLD) -> None:
-        self.experience = experience
-        self.first = first
-        self.threshold = threshold
+    experience: Experience  # of the route's techniques, in their order
+    first: int  # index of the technique to begin with
+    threshold: float = THRESHOLD  # τ, correctness at which it stops
 
     def reset(self, references: int, techniques: int) -> None:
         """Nothing to forget.

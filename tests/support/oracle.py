@@ -297,7 +297,6 @@ def margin(result: Music, tolerance: int) -> float | None:
 
 
 IDLE_DECAY = 0.9995
-RECENT_SMOOTHING = 0.1
 SUPPORT_MEMORY = 0.98
 
 
@@ -355,25 +354,65 @@ def tracks(predictions: Sequence[int]) -> list[int]:
     return found
 
 
-def recent(similarities: Sequence[float], results: Sequence[Music | None]) -> float:
-    """Running mean of the similarity over the frames on which something ran."""
-    mean = 0.0
-    for similarity, result in zip(similarities, results, strict=True):
-        if result is not None:
-            mean += RECENT_SMOOTHING * (similarity - mean)
-    return mean
+class OnMap:
+    """Log-odds of being on the map, by how the rows looked at the prediction up to now.
+
+    Args:
+        z: ``[technique][query][reference]``, standardised.
+        tolerance: of the bank.
+    """
+
+    def __init__(self, z: Numbers, tolerance: int) -> None:
+        self.z, self.tolerance, self.log_odds = z, tolerance, 0.0
+        self.similarities: list[list[float]] = [[] for _ in z]  # of every run, to the prediction
+        self.near: list[list[bool]] = [[] for _ in z]  # whether its best place was the prediction
+
+    @staticmethod
+    def usual(values: Sequence[float]) -> float:
+        """Slow running mean: of n values the newest weighs 1 / n, or 0.02."""
+        mean = 0.0
+        for n, value in enumerate(values, start=1):
+            mean += max(0.02, 1.0 / n) * (value - mean)
+        return mean
+
+    def ratio(self, t: int, similarity: float, near: bool) -> float:
+        """Log-likelihood ratio of one run."""
+        usual = max(self.usual(self.similarities[t]), 0.5)
+        first = similarity**2 / 2 - (similarity - usual) ** 2 / 2
+        chance = min((2 * self.tolerance + 1) / len(self.z[t][0]), 0.5)
+        runs = min(len(self.near[t]), 50)
+        share = (0.9 + runs * self.usual(self.near[t])) / (3 + runs)
+        share = min(max(share, chance + 0.02), 0.95)
+        second = math.log(share / chance) if near else math.log((1 - share) / (1 - chance))
+        return 0.5 * float(np.clip(first, -4, 4) + np.clip(second, -4, 4))
+
+    def note(self, frame: int, ran: Sequence[int], place: int) -> float:
+        """Take in a frame: the techniques that ran on it and the prediction, −1 for none."""
+        ratios = [0.0]
+        for t in ran if place >= 0 else ():
+            row = self.z[t][frame]
+            near = abs(top_candidates(row, 1)[0] - place) <= self.tolerance
+            if any(row):
+                ratios.append(self.ratio(t, row[place], near))
+            self.similarities[t].append(row[place])
+            self.near[t].append(near)
+        p = 1.0 / (1.0 + math.exp(-self.log_odds))
+        p = 0.99 * p + 0.02 * (1.0 - p)
+        odds = math.log(p / (1.0 - p)) + max(ratios) + min(ratios)
+        self.log_odds = float(np.clip(odds, -12.0, 12.0))
+        return self.log_odds
 
 
 def p_correct(
-    b: Numbers, statistic: float, track: int, late: float, said: Others, margin: float | None
+    b: Numbers, statistic: float, track: int, on_map: float, said: Others, margin: float | None
 ) -> float:
     """p̂ of a fused match of that discounted statistic; no margin where there is no rival."""
     drive = [1.0, np.arcsinh(statistic), np.log1p(track)]
     if margin is None:
-        logits = [np.dot(b[8:11], drive), np.dot(b[11:13], [1.0, np.arcsinh(late)])]
+        logits = [np.dot(b[8:11], drive), np.dot(b[11:13], [1.0, on_map])]
     else:
         drive += [*said, np.arcsinh(margin)]
-        logits = [np.dot(b[:6], drive), np.dot(b[6:8], [1.0, np.arcsinh(late)])]
+        logits = [np.dot(b[:6], drive), np.dot(b[6:8], [1.0, on_map])]
     return float(np.prod(1.0 / (1.0 + np.exp(-np.clip(logits, -30.0, 30.0)))))
 
 
@@ -381,13 +420,13 @@ def p_corrects(b: Numbers, route: Route, tolerance: int) -> list[float]:
     """p̂ of every frame of a route."""
     found, p = [], 0.0
     track = tracks(route.predictions)
-    steps = zip(route.results, track, route.recents, route.others, strict=True)
-    for result, moved, late, said in steps:
+    steps = zip(route.results, track, route.on_map, route.others, strict=True)
+    for result, moved, on_map, said in steps:
         if result is None:
             p *= IDLE_DECAY
         else:
             statistic = result.compared(result.technique, result.confidence)
-            p = p_correct(b, statistic, moved, late, said, margin(result, tolerance))
+            p = p_correct(b, statistic, moved, on_map, said, margin(result, tolerance))
         found.append(p)
     return found
 
@@ -417,7 +456,7 @@ class Route:
     ran: list[list[bool]] = field(default_factory=list)  # (Q, T) on the frame itself
     selections: list[Selection] = field(default_factory=list)
     results: list[Music | None] = field(default_factory=list)  # MuSIC's, None where nothing ran
-    recents: list[float] = field(default_factory=list)  # running mean of the similarity
+    on_map: list[float] = field(default_factory=list)  # log-odds of being on the map
     others: list[Others] = field(default_factory=list)  # what the others said of the prediction
     p_values: dict[int, float] = field(default_factory=dict)  # frame after the block -> p
 

@@ -87,6 +87,7 @@ def follow(
     z, width, queries = settings[4], *scores.shape[:2]
     exists = [[False] * width for _ in range(queries)]
     memory, route = oracle.Memory.of(width), oracle.Route()
+    on_map = oracle.OnMap(z, bank.tolerance)
     for q, action in enumerate(actions):
         active = np.flatnonzero(action[:width]).tolist()
         if block and action[-1] and q > 0:
@@ -107,7 +108,7 @@ def follow(
             route.similarities.append(0.0)
             route.chosen.append(-1)
             route.results.append(None)
-            route.recents.append(0.0)
+            route.on_map.append(on_map.note(q, [], route.predictions[-1]))
             route.others.append(oracle.Others())
             continue
         result = oracle.music(scores, exists, q, *settings, memory)
@@ -117,6 +118,6 @@ def follow(
         route.similarities.append(z[result.technique][q][result.place])
         route.chosen.append(result.technique)
         route.results.append(result)
-        route.recents.append(oracle.recent(route.similarities, route.results))
+        route.on_map.append(on_map.note(q, active, result.place))
         route.others.append(oracle.others(route.results, z, memory, bank.tolerance, scores))
     return route

@@ -36,6 +36,7 @@ from amusic_gym.estimation.belief.state import LAGGED, LIVE, BeliefState, restar
 from amusic_gym.estimation.prediction import (
     SMOOTHING,
     choose_technique,
+    logit_of,
     relate,
     remember,
     set_prediction,
@@ -250,30 +251,33 @@ def load_result(state: BeliefState, i: int, s: int, frame: int) -> None:
 
 
 @inner
-def estimate(state: BeliefState, i: int) -> None:
-    """Take the place whose window holds most of the belief; estimate correctness.
+def take_place(state: BeliefState, i: int) -> None:
+    """Take the place whose window holds most of the belief.
 
     The technique trusted is the one of the highest statistic, as in MuSIC; the place is what all
     that ran say together.
     """
-    batch = state.batch
-    route, belief, b = batch.routes[i], state.beliefs[LIVE, i], state.calibration
-    if route.prediction < 0 and route.idle:
-        return
+    route, belief = state.batch.routes[i], state.beliefs[LIVE, i]
     set_prediction(route, belief.place)
     route.margin = log_ratio(belief.share, belief.rival)
+    route.p_steady = belief.p_steady
+    if not route.idle:
+        choose_technique(state.batch, i)
+
+
+@inner
+def estimate_correctness(state: BeliefState, i: int) -> None:
+    """Estimate the correctness p̂ of the prediction: see amusic_gym.estimation.calibration."""
+    route, belief, b = state.batch.routes[i], state.beliefs[LIVE, i], state.calibration
     route.log_likelihood = belief.log_likelihood
     if belief.rows > 0:
         mean = belief.log_likelihood / belief.rows
         route.log_likelihood_mean += SMOOTHING * (mean - route.log_likelihood_mean)
     logit = b[0] + b[1] * log_odds(belief.share) + b[2] * route.margin
     logit += b[3] * route.log_likelihood + b[4] * route.log_likelihood_mean
-    route.confidence = min(max(logit, -30.0), 30.0)
-    route.logit = route.confidence
-    route.p_correct = sigmoid(logit)
-    route.p_steady = belief.p_steady
-    if not route.idle:
-        choose_technique(batch, i)
+    route.p_correct = sigmoid(logit) * sigmoid(b[5] + b[6] * route.on_map)
+    route.logit = logit_of(route.p_correct)
+    route.confidence = route.logit
 
 
 @compiled
@@ -290,7 +294,11 @@ def update_routes(address: int) -> None:
                     if not prepare(batch.runs[i, s], frame):
                         route.bad_row = 1 + s * route.frames + frame
                     load_result(state, i, s, frame)
-            estimate(state, i)
+            known = route.prediction >= 0 or not route.idle
+            if known:
+                take_place(state, i)
             relate(batch, i, frame)
+            if known:
+                estimate_correctness(state, i)
             remember(route)
             route.frame = frame

@@ -29,9 +29,6 @@ from amusic_gym.kernels.compiling import compiled, inner, spliced
 SUPPORT_MEMORY = 0.98
 """Factor per frame on what a technique's last match counts for or against the prediction."""
 
-RECENT_SMOOTHING = 0.1
-"""Weight of the newest frame in the running mean of the similarity, which p̂ is made of."""
-
 
 @spliced
 def correct_frame(state: SICState, i: int, s: int, frame: int, own: int, fused: int) -> int:
@@ -172,9 +169,7 @@ def estimate_correctness(state: SICState, i: int, has_rival: bool) -> None:
     drive += b[first + 2] * math.log1p(10.0 * route.track)
     if has_rival:
         drive += b[3] * route.heard + b[4] * route.support + b[5] * math.asinh(route.margin)
-    route.recent += RECENT_SMOOTHING * (slot.support - route.recent)
-    recent = b[late] + b[late + 1] * math.asinh(route.recent)
-    route.p_correct = sigmoid(drive) * sigmoid(recent)
+    route.p_correct = sigmoid(drive) * sigmoid(b[late] + b[late + 1] * route.on_map)
     route.logit = logit_of(route.p_correct)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.extraction import extract
-from amusic_gym.routes.datasets import DATASETS, LoadedDataset, load_dataset
+from amusic_gym.routes.datasets import DATASETS, LoadedRoute, load_dataset
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.techniques import make_technique
 
@@ -34,11 +34,11 @@ class Route:
     """
 
     name: str
-    found: LoadedDataset | None
+    found: LoadedRoute | None
     remarks: tuple[str, ...]
 
 
-def load(name: str, root: str | os.PathLike[str]) -> tuple[LoadedDataset, tuple[str, ...]]:
+def load(name: str, root: str | os.PathLike[str]) -> tuple[LoadedRoute, tuple[str, ...]]:
     """A data set and what differs from the paper's.
 
     Of a folder with more images than the paper took, as many at even distances, from the first on.
@@ -110,7 +110,7 @@ def joined(parts: Sequence[LoadedDataset]) -> LoadedDataset:
 
 
 def extracted(
-    found: LoadedDataset,
+    found: LoadedRoute,
     out: Path,
     *,
     techniques: Sequence[str],

@@ -73,21 +73,12 @@ class Cell:
     seed: int
     size: int
 
-    @property
-    def key(self) -> str:
-        """As executors call it."""
-        return self.path
-
     def __str__(self) -> str:
         """For a person: route, condition and seed, policy and λ."""
         of = self.labels
         weight = "" if of["compute_weight"] is None else f" λ {of['compute_weight']:g}"
         seed = "" if of["seed"] is None else f" {of['seed']}"
         return f"{of['bank']}, {of['condition']}{seed}: {of['policy']}{weight}"
-
-    def portable(self) -> Cell:
-        """Itself: it holds no file."""
-        return self
 
     def run(self, bench: Bench, advance: Advance = nothing) -> Measures:
         """Run the policy along the route and measure it."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from amusic_gym.banks.bank_files import refuse_within_bank
 from amusic_gym.evaluation import store
@@ -50,8 +50,7 @@ def run(
     progress = _Progress(len(missing), sum(cell.size for cell in missing), report)
     if done:
         report(f"{len(plan.cells) - progress.cells} of {len(plan.cells)} cells were finished")
-    # Executors are typed for techniques and arrays; they hold and return whatever pickles.
-    with where, cast(Any, where).workers(plan.bench) as workers:
+    with where, where.workers(plan.bench) as workers:
         for cell, measures in workers.run(missing):
             store.save(folder, cell.path, {"measures": measures})
             done[cell.path] = measures

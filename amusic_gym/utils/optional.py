@@ -1,0 +1,29 @@
+"""Packages that only optional parts need, but for those of techniques.
+
+What a technique imports must stand in its file as an import: it is part of the key of the cache.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+
+def optional(module: str, whose: str, package: str, part: str) -> Any:
+    """A module of a package that may not be installed.
+
+    Args:
+        module: its name.
+        whose: what needs it, for the refusal.
+        package: what the refusal calls it.
+        part: of this package, that brings it.
+
+    Raises:
+        ValueError: where it is not installed, with the command.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise ValueError(
+            f'{whose} needs {package}; install it: pip install "amusic-gym[{part}]"'
+        ) from None
