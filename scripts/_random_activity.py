@@ -144,12 +144,18 @@ def _curve(drives: Sequence[Drive]) -> dict[str, list[Any]]:
 
 def tables(report: dict[str, Any]) -> list[Table]:
     """The report of :func:`held_against_truth` as tables."""
-    names = ("frames", "accuracy", "p_correct", "auroc", "calibration_error", "brier")
-    names += ("right_of_sure", "sure_of_away")
-    heads = ("right", "mean p̂", "AUROC", f"calibration error, {BINS} bins", "Brier")
-    heads += (f"right where p̂ ≥ {SURE}", f"p̂ ≥ {SURE} where no place is true")
+    heads = {
+        "frames": "frames",
+        "accuracy": "right",
+        "p_correct": "mean p̂",
+        "auroc": "AUROC",
+        "calibration_error": f"calibration error, {BINS} bins",
+        "brier": "Brier",
+        "right_of_sure": f"right where p̂ ≥ {SURE}",
+        "sure_of_away": f"p̂ ≥ {SURE} where no place is true",
+    }
     fused = [
-        [row["bank"], row["timing"], *(_cell(row[name]) for name in names)]
+        [row["bank"], row["timing"], *(_cell(row[name]) for name in heads)]
         for row in report["fused"]
     ]
     own = [
@@ -161,7 +167,7 @@ def tables(report: dict[str, Any]) -> list[Table]:
     return [
         Table(
             "p̂ of the fused prediction under random activity",
-            ["bank", "drive", "frames", *heads],
+            ["bank", "drive", *heads.values()],
             fused,
             f"On each frame each technique runs with a chance drawn for the drive: {chances}; at "
             "least the cheapest. A frame counts once in each drive; as recorded, all drives at "

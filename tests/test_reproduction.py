@@ -16,7 +16,7 @@ from amusic_gym.cli import start
 from amusic_gym.evaluation.reproduction import sweeps, tables
 from amusic_gym.evaluation.reproduction.paper import METHODS, TITLES, figures
 from amusic_gym.evaluation.reproduction.routes import ONE_DRIVE, joined, load
-from amusic_gym.routes.datasets import DATASETS, LoadedDataset
+from amusic_gym.routes.datasets import DATASETS, LoadedRoute
 from amusic_gym.routes.folders import ImageFolder
 
 
@@ -82,10 +82,10 @@ def test_tables_have_the_drive_of_all_and_no_figure_of_the_papers_beside_it():
     assert tables.to_csv(two).decode().splitlines()[0].endswith("mean,mean (paper),in one drive")
 
 
-def dataset(root: Path, name: str, reference: str, count: int, tolerance: int) -> LoadedDataset:
+def dataset(root: Path, name: str, reference: str, count: int, tolerance: int) -> LoadedRoute:
     folders = [ImageFolder(root / each) for each in (reference, name)]
     truth = GroundTruth.from_places(np.arange(count), tolerance, count)
-    return LoadedDataset(name, *folders, truth, tolerance)
+    return LoadedRoute(*folders, truth, tolerance, name)
 
 
 def test_joined_data_sets_are_one_drive_on_one_map_each_frame_true_in_its_part(tmp_path):

@@ -76,7 +76,7 @@ def find(name: str, root: str | os.PathLike[str]) -> Route:
         return Route(name, None, (str(error),))
 
 
-def joined(parts: Sequence[LoadedDataset]) -> LoadedDataset:
+def joined(parts: Sequence[LoadedRoute]) -> LoadedRoute:
     """Data sets one after the other on one map, driven in one go.
 
     Figure 7 and the words on it suggest such a drive: "when entering the Fall sequence". Where two
@@ -100,12 +100,12 @@ def joined(parts: Sequence[LoadedDataset]) -> LoadedDataset:
             for places in np.split(truth.places, truth.indptr[1:-1])
         ]
     truth = GroundTruth.from_lists(true, begins[-1])
-    return LoadedDataset(
-        ONE_DRIVE,
+    return LoadedRoute(
         ImageFolder.join(part.reference for part in parts),
         ImageFolder.join(part.query for part in parts),
         truth,
         truth.half_run(),
+        ONE_DRIVE,
     )
 
 

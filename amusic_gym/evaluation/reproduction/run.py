@@ -17,7 +17,7 @@ from amusic_gym.evaluation.reproduction.paper import METHODS, TECHNIQUES, TITLES
 from amusic_gym.evaluation.reproduction.routes import extracted, find, joined
 from amusic_gym.evaluation.tables import Table
 from amusic_gym.policies.trace import Trace
-from amusic_gym.routes.datasets import LoadedDataset
+from amusic_gym.routes.datasets import LoadedRoute
 from amusic_gym.utils.storage import write_whole
 
 SHIPS = ("calc", "netvlad")
@@ -111,7 +111,7 @@ def reproduce(
 
 
 def _driven_in_one(
-    there: Sequence[LoadedDataset],
+    there: Sequence[LoadedRoute],
     out: Path,
     how: Mapping[str, Any],
     report: Callable[[str], None],
@@ -127,7 +127,7 @@ def _driven_in_one(
 
 
 def _drawn_in_one(
-    there: Sequence[LoadedDataset], drive: Sequence[Trace], out: Path
+    there: Sequence[LoadedRoute], drive: Sequence[Trace], out: Path
 ) -> list[ReportFigure]:
     if not drive:
         return []
