@@ -179,9 +179,9 @@ def search(places: int, lists: int, probes: Sequence[int], queries: int, rounds:
 def rendered(out: Path, places: int) -> ScoreBank:
     """A tour through the demo's rendered worlds, joined in one map; images are kept in ``out``."""
     parts = []
-    for world in WORLDS:
+    for seed, world in enumerate(WORLDS, start=4_000):
         images = out / "images" / world.kind
-        render_folders(images, [world.condition], seed=world.seed, places=places, kind=world.kind)
+        render_folders(images, [world.condition], seed=seed, places=places, kind=world.kind)
         parts.append((images / "reference", images / world.condition))
     tour = make_tour(parts, seed=1)
     truth = tour.ground_truth(TOLERANCE)
