@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.ranking import highest
-from amusic_gym.cli.demo_tours import WORLDS
+from amusic_gym.cli.demo_tours import FIRST_WORLD, WORLDS
 from amusic_gym.evaluation.metrics import summarise
 from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.extraction import extract
@@ -179,7 +179,7 @@ def search(places: int, lists: int, probes: Sequence[int], queries: int, rounds:
 def rendered(out: Path, places: int) -> ScoreBank:
     """A tour through the demo's rendered worlds, joined in one map; images are kept in ``out``."""
     parts = []
-    for seed, world in enumerate(WORLDS, start=4_000):
+    for seed, world in enumerate(WORLDS, FIRST_WORLD):
         images = out / "images" / world.kind
         render_folders(images, [world.condition], seed=seed, places=places, kind=world.kind)
         parts.append((images / "reference", images / world.condition))
