@@ -358,12 +358,13 @@ class OnMap:
     """Log-odds of being on the map, by how the rows looked at the prediction up to now.
 
     Args:
-        z: ``[technique][query][reference]``, standardised.
+        scores: ``[technique][query][reference]``.
+        z: the same, standardised.
         tolerance: of the bank.
     """
 
-    def __init__(self, z: Numbers, tolerance: int) -> None:
-        self.z, self.tolerance, self.log_odds = z, tolerance, 0.0
+    def __init__(self, scores: Numbers, z: Numbers, tolerance: int) -> None:
+        self.scores, self.z, self.tolerance, self.log_odds = scores, z, tolerance, 0.0
         self.similarities: list[list[float]] = [[] for _ in z]  # of every run, to the prediction
         self.near: list[list[bool]] = [[] for _ in z]  # whether its best place was the prediction
 
@@ -391,7 +392,7 @@ class OnMap:
         ratios = [0.0]
         for t in ran if place >= 0 else ():
             row = self.z[t][frame]
-            near = abs(top_candidates(row, 1)[0] - place) <= self.tolerance
+            near = abs(top_candidates(self.scores[t][frame], 1)[0] - place) <= self.tolerance
             if any(row):
                 ratios.append(self.ratio(t, row[place], near))
             self.similarities[t].append(row[place])
