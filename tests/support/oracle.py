@@ -477,14 +477,15 @@ def paired_t_test(before: Sequence[float], after: Sequence[float]) -> float:
     """The p-value of the paired two-sided t-test; 1 is "never reject", 0 is "always".
 
     All differences zero: 1. A constant difference other than zero: 0. Fewer than two pairs: 1.
+    Differences are of sums, and equal where they are up to the last bits.
     """
     from scipy import stats
 
     differences = [b - a for a, b in zip(before, after, strict=True)]
     count = len(differences)
-    if count < 2 or all(difference == 0 for difference in differences):
+    if count < 2 or all(abs(difference) < ABSOLUTE_TIE for difference in differences):
         return 1.0
-    if all(difference == differences[0] for difference in differences):
+    if all(abs(difference - differences[0]) < ABSOLUTE_TIE for difference in differences):
         return 0.0
     mean = math.fsum(differences) / count
     variance = math.fsum((d - mean) ** 2 for d in differences) / (count - 1)
