@@ -47,6 +47,8 @@ ARGUMENTS = {
     "plurality": [None],
     "borda": [None],
     "hmm": [None],
+    "xu": [None],
+    "lazygraph": [None],
 }
 SPECS = [
     name if argument is None else f"{name}:{argument}"

@@ -58,7 +58,7 @@ class Observer:
         self.exists = np.zeros((bank.queries, self.width), bool)
         self.slots: list[dict] = [defaultdict(float, last=-1) for _ in range(self.width)]
         self.route: dict = defaultdict(float, prediction=-1)
-        self.on_map = oracle.OnMap(self.z, bank.tolerance)
+        self.on_map = oracle.OnMap(bank.scores, self.z, bank.tolerance)
 
     def look_back(self, frame: int) -> None:
         """Run everything on the block before a frame."""

@@ -358,12 +358,13 @@ class OnMap:
     """Log-odds of being on the map, by how the rows looked at the prediction up to now.
 
     Args:
-        z: ``[technique][query][reference]``, standardised.
+        scores: ``[technique][query][reference]``.
+        z: the same, standardised.
         tolerance: of the bank.
     """
 
-    def __init__(self, z: Numbers, tolerance: int) -> None:
-        self.z, self.tolerance, self.log_odds = z, tolerance, 0.0
+    def __init__(self, scores: Numbers, z: Numbers, tolerance: int) -> None:
+        self.scores, self.z, self.tolerance, self.log_odds = scores, z, tolerance, 0.0
         self.similarities: list[list[float]] = [[] for _ in z]  # of every run, to the prediction
         self.near: list[list[bool]] = [[] for _ in z]  # whether its best place was the prediction
 
@@ -391,7 +392,7 @@ class OnMap:
         ratios = [0.0]
         for t in ran if place >= 0 else ():
             row = self.z[t][frame]
-            near = abs(top_candidates(row, 1)[0] - place) <= self.tolerance
+            near = abs(top_candidates(self.scores[t][frame], 1)[0] - place) <= self.tolerance
             if any(row):
                 ratios.append(self.ratio(t, row[place], near))
             self.similarities[t].append(row[place])
@@ -476,14 +477,15 @@ def paired_t_test(before: Sequence[float], after: Sequence[float]) -> float:
     """The p-value of the paired two-sided t-test; 1 is "never reject", 0 is "always".
 
     All differences zero: 1. A constant difference other than zero: 0. Fewer than two pairs: 1.
+    Differences are of sums, and equal where they are up to the last bits.
     """
     from scipy import stats
 
     differences = [b - a for a, b in zip(before, after, strict=True)]
     count = len(differences)
-    if count < 2 or all(difference == 0 for difference in differences):
+    if count < 2 or all(abs(difference) < ABSOLUTE_TIE for difference in differences):
         return 1.0
-    if all(difference == differences[0] for difference in differences):
+    if all(abs(difference - differences[0]) < ABSOLUTE_TIE for difference in differences):
         return 0.0
     mean = math.fsum(differences) / count
     variance = math.fsum((d - mean) ** 2 for d in differences) / (count - 1)

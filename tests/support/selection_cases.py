@@ -87,7 +87,7 @@ def follow(
     z, width, queries = settings[4], *scores.shape[:2]
     exists = [[False] * width for _ in range(queries)]
     memory, route = oracle.Memory.of(width), oracle.Route()
-    on_map = oracle.OnMap(z, bank.tolerance)
+    on_map = oracle.OnMap(scores, z, bank.tolerance)
     for q, action in enumerate(actions):
         active = np.flatnonzero(action[:width]).tolist()
         if block and action[-1] and q > 0:
