@@ -43,6 +43,8 @@ ARGUMENTS = {
     "plurality": [None],
     "borda": [None, "60"],
     "hmm": [None, "0.3/0.02"],
+    "xu": [None],
+    "lazygraph": [None],
 }
 SPECS = [
     name if argument is None else f"{name}:{argument}"
@@ -52,7 +54,18 @@ SPECS = [
 DEFAULT = SICSettings.statistic
 ONE_ROUTE = ("oracle",)  # built for the bank they run on
 DRAWING = ("random",)
-LOCALISERS = ("raw", "mpf", "hmpf", "dynmpf", "switchhit", "plurality", "borda", "hmm")
+LOCALISERS = (
+    "raw",
+    "mpf",
+    "hmpf",
+    "dynmpf",
+    "switchhit",
+    "plurality",
+    "borda",
+    "hmm",
+    "xu",
+    "lazygraph",
+)
 
 
 def make(spec: str, bank: ScoreBank, statistic: str = DEFAULT, seed: int = 0):

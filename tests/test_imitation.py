@@ -495,7 +495,7 @@ def test_the_teacher_follows_the_choice_and_its_file_brings_it_back(
     both = (choosing.Parameters(1, 1, 0.0), choosing.Parameters(99, 1, 0.0))
     calls = []
 
-    def choose(routes, weights, *, statistic, environment, grid):
+    def choose(routes, weights, *, statistic, environment, grid, progress):
         assert (len(routes), grid) == (1, both)
         assert (statistic, environment) == (STATISTIC, {"carry": True, "discount": True})
         calls.append(weights)
@@ -547,7 +547,7 @@ def command(monkeypatch, amusic, choosing):
     monkeypatch.setattr(choosing, "teacher_routes", lambda config, routes: banks(20, 2))
     monkeypatch.setattr(choosing, "PARTS", 2)
     monkeypatch.setitem(choosing.make_teacher.__kwdefaults__, "grid", choosing.GRID[:3])
-    monkeypatch.setitem(choosing.choose_cascades.__kwdefaults__, "progress", False)
+    monkeypatch.setattr(choosing, "tqdm", lambda items, **_: items)  # no bar among the lines
 
     def call(*arguments: object) -> tuple[int, list[str]]:
         status, _, err = amusic("train", *arguments)

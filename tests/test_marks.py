@@ -84,8 +84,9 @@ def test_a_comparison_marks_peers_bounds_and_selectors_that_need_ground_truth(ru
         report=len,
     )
     shown = table(result).partition("WARNING")[0]
-    *blocks, note = shown.strip().split("\n\n")
+    *blocks, legend, note = shown.strip().split("\n\n")
     assert len(blocks) == 3
+    assert legend.startswith("λ: ") or "PTR" in legend
     for block in blocks:
         lines = block.splitlines()[2:]
         assert [line.split()[1] == "†" for line in lines] == [False, True, True, True, False]
@@ -132,8 +133,8 @@ def test_every_table_of_a_study_that_has_a_mark_says_what_it_means(found):
         "told": "told of the routes that it was trained on",
     }
     seen = {name: [table.title for table in tables(found) if has(table, name)] for name in meanings}
-    assert len(seen["oracle"]) == 3  # points and two fronts
-    assert len(seen["told"]) == 7  # margins, audit and the best of each kind, two, as well
+    assert len(seen["oracle"]) == 4  # points and three fronts
+    assert len(seen["told"]) == 9  # margins, audit and the best of each kind, three, as well
     for one in tables(found):
         cells = {cell for row in one.rows for cell in row}
         assert not cells & set(meanings)  # never without the mark

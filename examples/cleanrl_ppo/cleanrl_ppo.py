@@ -3,7 +3,7 @@
     pip install -r examples/cleanrl_ppo/requirements.txt
     python examples/cleanrl_ppo/cleanrl_ppo.py
 
-Reaches 0.727 per frame at λ 0.3 (seed 1) in 28 s of one core. Compare with docs/training.md.
+Reaches 0.707 per frame at λ 0.3 (seed 1) in 28 s of one core. Compare with docs/training.md.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ RecurrentPPO of sb3-contrib 2.9.2 fails on `MultiBinary` actions; on `MultiDiscr
     pip install -r examples/sb3_recurrent_ppo/requirements.txt
     python examples/sb3_recurrent_ppo/sb3_recurrent_ppo.py
 
-Reaches 0.712 per frame at λ 0.3 (seed 1) in 18 s of one core. Compare with docs/training.md.
+Reaches 0.682 per frame at λ 0.3 (seed 1) in 18 s of one core. Compare with docs/training.md.
 """
 
 from __future__ import annotations

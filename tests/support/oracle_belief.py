@@ -381,6 +381,7 @@ def drive(scores: Any, actions: Any, chosen: Settings) -> list[Step]:
     ran: list[list[bool]] = []
     steps: list[Step] = []
     mean = 0.0
+    on_map = oracle.OnMap(scores, oracle.standardise_bank(scores), chosen.tolerance)
     cheapest = int(np.argmin(chosen.seconds))
     for q, action in enumerate(np.asarray(actions, bool).tolist()):
         runs, selection = action[: len(scores)], None
@@ -393,12 +394,18 @@ def drive(scores: Any, actions: Any, chosen: Settings) -> list[Step]:
         frame = copy.deepcopy(belief.update(rows_of(scores, q, runs)))
         if not any(runs) and (not steps or steps[-1].prediction < 0):
             steps.append(Step(frame, runs, -1, 0.0, 0.0, 0.0, selection))
+            on_map.note(q, [], -1)
             continue
         if frame.rows:
             mean += 0.2 * (frame.log_likelihood / frame.rows - mean)
         margin = log(frame.share) - log(frame.rival)
         inputs = [1.0, log_odds(frame.share), margin, frame.log_likelihood, mean]
-        logit = clamp(float(np.dot(chosen.coefficients, inputs)), -30.0, 30.0)
-        p = 1.0 / (1.0 + math.exp(-logit))
+        present = on_map.note(q, np.flatnonzero(runs).tolist(), frame.place)
+        logits = (
+            np.dot(chosen.coefficients[:5], inputs),
+            np.dot(chosen.coefficients[5:], [1, present]),
+        )
+        p = math.prod(1.0 / (1.0 + math.exp(-clamp(float(each), -30.0, 30.0))) for each in logits)
+        logit = clamp(log_odds(p), -30.0, 30.0)
         steps.append(Step(frame, runs, frame.place, logit, margin, p, selection))
     return steps
