@@ -17,7 +17,8 @@ from small_training import SMALL
 from study_cases import EVERYBODY, learned, plan_of
 
 from amusic_gym.evaluation import study
-from amusic_gym.evaluation.comparison import compare, table
+from amusic_gym.evaluation.columns import legend
+from amusic_gym.evaluation.comparison import SHOWN, compare, table
 from amusic_gym.evaluation.contestants import contestants
 from amusic_gym.evaluation.report import write_report
 from amusic_gym.evaluation.study.figures import _styles
@@ -84,9 +85,9 @@ def test_a_comparison_marks_peers_bounds_and_selectors_that_need_ground_truth(ru
         report=len,
     )
     shown = table(result).partition("WARNING")[0]
-    *blocks, legend, note = shown.strip().split("\n\n")
+    *blocks, meanings, note = shown.strip().split("\n\n")
     assert len(blocks) == 3
-    assert legend.startswith("λ: ") or "PTR" in legend
+    assert " ".join(meanings.split()) == legend(SHOWN)
     for block in blocks:
         lines = block.splitlines()[2:]
         assert [line.split()[1] == "†" for line in lines] == [False, True, True, True, False]

@@ -47,9 +47,9 @@ def coefficients(statistic: str) -> NDArray[np.float64]:
     holds around the best rival, l the log-likelihood that the frame's rows gave the prediction
     together, and a the running mean over the frames of what each row gave it.
 
-    The second is that the robot is on the map at all: r is the log-odds of that (``locate`` in
-    :mod:`amusic_gym.estimation.prediction`). It falls within a few frames where nothing looks as it
-    usually does, however long a good drive lies behind.
+    The second is that the robot is on the map at all: r is the log-odds of that
+    (``update_on_map`` in :mod:`amusic_gym.estimation.prediction`). It falls within a few frames
+    where nothing looks as it usually does, however long a good drive lies behind.
     """
     entry = stored()["coefficients"][statistic]
     return np.array([number for part in entry.values() for number in part], np.float64)

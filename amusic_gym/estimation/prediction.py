@@ -44,10 +44,10 @@ CONFIRMED_PRIOR, CONFIRMED_PRIOR_RUNS = 0.3, 3.0
 MOST_CONFIRMED, LEAST_ABOVE_CHANCE = 0.95, 0.02
 """Bounds of the share of confirming runs on the map: the second above that off the map."""
 
-MOST_SAID = 4.0
+MOST_RATIO = 4.0
 """Bound on the log-likelihood ratio of a similarity, and on that of a row's best place."""
 
-SAID_SHARE = 0.5
+RATIO_SHARE = 0.5
 """Weight of the two: neighbouring rows, and the two of one row, repeat each other."""
 
 SURE_OF_MAP = 12.0
@@ -128,20 +128,21 @@ def map_likelihood(slot: SlotState, route: RouteState) -> float:
     share /= CONFIRMED_PRIOR_RUNS + runs
     share = min(max(share, chance + LEAST_ABOVE_CHANCE), MOST_CONFIRMED)
     confirmed = share / chance if slot.confirms > 0.0 else (1.0 - share) / (1.0 - chance)
-    said: float = min(max(support, -MOST_SAID), MOST_SAID)
-    return SAID_SHARE * (said + min(max(math.log(confirmed), -MOST_SAID), MOST_SAID))
+    ratio: float = min(max(support, -MOST_RATIO), MOST_RATIO)
+    ratio += min(max(math.log(confirmed), -MOST_RATIO), MOST_RATIO)
+    return RATIO_SHARE * ratio
 
 
 @inner
-def locate(route: RouteState, most: float, least: float) -> None:
+def update_on_map(route: RouteState, most: float, least: float) -> None:
     """Update the log-odds of being on the map by the strongest ratios for it and against it.
 
     Not by all of them: a copy of a technique has no say of its own.
     """
-    stays = sigmoid(route.on_map)
-    stays = stays * (1.0 - LEAVES) + (1.0 - stays) * RETURNS
-    odds = logit_of(stays) + most + least
-    route.on_map = min(max(odds, -SURE_OF_MAP), SURE_OF_MAP)
+    before = sigmoid(route.on_map)
+    p_on_map = before * (1.0 - LEAVES) + (1.0 - before) * RETURNS
+    log_odds = logit_of(p_on_map) + most + least
+    route.on_map = min(max(log_odds, -SURE_OF_MAP), SURE_OF_MAP)
 
 
 @apart
@@ -167,8 +168,8 @@ def relate(batch: Batch, i: int, frame: int) -> None:
             near = abs(top_at(run, frame)[0] - route.prediction) <= route.tolerance
             slot.confirms = 1.0 if near else 0.0
             if prepared_at(run, frame).scale > 0.0:
-                said = map_likelihood(slot, route)
-                most, least = max(most, said), min(least, said)
+                ratio = map_likelihood(slot, route)
+                most, least = max(most, ratio), min(least, ratio)
             slot.runs += 1.0
             usual = max(USUAL_SMOOTHING, 1.0 / slot.runs)
             slot.support_usual += usual * (slot.support - slot.support_usual)
@@ -178,6 +179,6 @@ def relate(batch: Batch, i: int, frame: int) -> None:
             if near:
                 route.since_confirmed = 0.0
             slot.agreement += SMOOTHING * (slot.agrees - slot.agreement)
-    locate(route, most, least)
+    update_on_map(route, most, least)
     route.agreeing = agreeing / present
     route.similarity = slots[route.technique].support if route.technique >= 0 else 0.0
