@@ -109,14 +109,30 @@ def still(bank: ScoreBank) -> ScoreBank:
     )
 
 
-@pytest.mark.parametrize("kind", ["smooth", "aliased", "still", "retimed", "simulated"])
+def taken(bank: ScoreBank, frames) -> ScoreBank:
+    """A drive that meets some frames of another's, in any order."""
+    return ScoreBank(
+        bank.scores[:, frames],
+        bank.techniques,
+        bank.seconds,
+        tolerance=bank.tolerance,
+        ground_truth=np.asarray(frames),
+    )
+
+
+@pytest.mark.parametrize("kind", ["smooth", "aliased", "still", "retimed", "turned", "simulated"])
 @pytest.mark.parametrize("activity", [0.3, 1.0])
 def test_filter_is_the_loops_on_routes(kind, activity):
     rng = np.random.default_rng(5)
     bank = random_bank(3, queries=40, references=46)
     if kind == "simulated":
         bank = planted(np.minimum(np.arange(40), 40), 46, strengths=(4.0, 2.0, 1.0), noise=1.5)
-    change = {"aliased": aliased, "still": still, "retimed": lambda b: retime(b, 4)}
+    change = {
+        "aliased": aliased,
+        "still": still,
+        "retimed": lambda b: retime(b, 4),
+        "turned": lambda b: taken(b, np.r_[0:20, 20:0:-1]),
+    }
     bank = change.get(kind, lambda b: b)(bank)
     compare(bank, patterned(rng, 40, 3, activity))
 
@@ -274,6 +290,7 @@ MOTIONS = {  # after 40 frames at one place per frame
     "stop": np.r_[0:40, [40] * 30, 40:70],
     "half speed": np.r_[0:40, 40 + np.arange(50) // 2],
     "double speed": np.r_[0:40, 40 + 2 * np.arange(30)],
+    "backwards": np.r_[0:40, 40:0:-1],
     "jump ahead": np.r_[0:40, 95:135],
     "jump back": np.r_[60:100, 10:50],
 }

@@ -1,7 +1,7 @@
 """The belief in explicit loops: every formula written out, nothing shared with the kernels.
 
-A route's belief is a dictionary from a mode of motion to R numbers: a speed (0, 0.5, 1, 1.5 or 2
-places per frame, with jumps) or "steady".
+A route's belief is a dictionary from a mode of motion to R numbers: a speed (0, 0.5, 1, 1.5, 2 or
+-1 places per frame, with jumps) or "steady".
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from amusic_gym.estimation.belief import model
 Floats = NDArray[np.float64]
 Row = Any  # (R,) scores, or None: the technique did not run
 
-SPEEDS = {0.0: 1 / 8, 0.5: 1 / 8, 1.0: 1 / 2, 1.5: 1 / 8, 2.0: 1 / 8}  # and how often each is drawn
+FORWARDS = {0.0: 1 / 8, 0.5: 1 / 8, 1.0: 1 / 2, 1.5: 1 / 8, 2.0: 1 / 8}  # how often each is drawn
+SPEEDS: dict[float, float] = {v: 0.995 * share for v, share in FORWARDS.items()} | {-1.0: 0.005}
 MODES: list[Any] = [*SPEEDS, "steady"]
 LEAST = 1e-12  # of what a logarithm is taken of
 EQUAL = 1e-9  # numbers that differ by less, relatively, are ties
@@ -171,6 +172,7 @@ def moves_of(mode: Any) -> dict[int, float]:
         1.0: {0: s, 1: 1 - 2 * s, 2: s},
         1.5: {1: 0.5, 2: 0.5},
         2.0: {1: s, 2: 1 - 2 * s, 3: s},
+        -1.0: {-2: s, -1: 1 - 2 * s, 0: s},
         "steady": {1: 1.0},
     }[mode]
 
@@ -180,7 +182,7 @@ def moved(line: Floats, moves: dict[int, float]) -> Floats:
     out = np.zeros(len(line))
     for place, value in enumerate(line):
         for step, chance in moves.items():
-            if place + step < len(line):
+            if 0 <= place + step < len(line):
                 out[place + step] += chance * value
     return out
 
@@ -291,13 +293,15 @@ class Belief:
         return dict(zip(names, weights_of(matrix).tolist(), strict=True))
 
     def _move(self) -> None:
-        free = np.sum([self.lines[speed] for speed in SPEEDS], axis=0)
+        ends = {speed: model.LASTING if speed < 0 else 1.0 for speed in SPEEDS}
+        free = np.sum([ends[speed] * self.lines[speed] for speed in SPEEDS], axis=0)
         steady = self.lines["steady"]
         mixed = {"steady": (1 - model.LEAVE) * steady + model.SETTLE * free}
+        drawn = (1 - model.SETTLE) * model.CHANGE
         for speed, share in SPEEDS.items():
-            kept = (1 - model.CHANGE) * self.lines[speed] + model.CHANGE * share * free
-            mixed[speed] = (1 - model.SETTLE) * kept + model.LEAVE * share * steady
-        jump = {speed: model.JUMP for speed in SPEEDS} | {"steady": model.STEADY_JUMP}
+            kept = (1 - ends[speed] * (model.SETTLE + drawn)) * self.lines[speed]
+            mixed[speed] = kept + share * (drawn * free + model.LEAVE * steady)
+        jump = {speed: ends[speed] * model.JUMP for speed in SPEEDS} | {"steady": model.STEADY_JUMP}
         self.lines = {mode: (1 - jump[mode]) * moved(mixed[mode], moves_of(mode)) for mode in MODES}
         lost = 1.0 - sum(line.sum() for line in self.lines.values())
         for speed, share in SPEEDS.items():

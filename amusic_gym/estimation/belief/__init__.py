@@ -9,7 +9,7 @@ way of moving, shared by all techniques of a route. ``docs/belief.md`` says what
 * **Techniques** (:mod:`~amusic_gym.estimation.belief.agreement`). Techniques that err alike share
   one vote: a copy of a technique changes nothing.
 * **Motion** (:mod:`~amusic_gym.estimation.belief.motion`). Steady motion, one place per frame, or
-  one of five speeds with jumps.
+  one of six speeds with jumps.
 
 Every constant stands in :mod:`~amusic_gym.estimation.belief.model`.
 """

@@ -23,7 +23,7 @@ from amusic_gym.estimation.belief.filter import (
     prepare_rows,
     update_routes,
 )
-from amusic_gym.estimation.belief.model import MODES, REACH
+from amusic_gym.estimation.belief.model import MODES, REACH, REACH_BACK
 from amusic_gym.estimation.belief.state import BeliefState, begin
 from amusic_gym.estimation.calibration import coefficients
 from amusic_gym.estimation.settings import SICSettings
@@ -54,7 +54,7 @@ class BeliefEstimator:
             "sets": 2 if self._block else 1,
             "two": 2,
             "modes": MODES,
-            "line": REACH + sizes["references"],
+            "line": REACH + sizes["references"] + REACH_BACK,
         }
         given = {"batch": batch, "calibration": calibration}
         if hasattr(self, "state"):

@@ -8,8 +8,11 @@ from __future__ import annotations
 
 # Motion.
 
-SPEEDS = 5
-"""Modes that jump: 0, ½, 1, 1½ and 2 places per frame."""
+SPEEDS = 6
+"""Modes that jump: 0, ½, 1, 1½ and 2 places per frame, and one place backwards."""
+
+BACKWARDS = SPEEDS - 1
+"""The mode of one place backwards per frame."""
 
 STEADY = SPEEDS
 """The mode of exactly one place per frame."""
@@ -17,10 +20,16 @@ STEADY = SPEEDS
 MODES = SPEEDS + 1
 
 REACH = 3
-"""Most places that one frame moves, slack included."""
+"""Most places that one frame moves forwards, slack included."""
 
-SHARES = (0.125, 0.125, 0.5, 0.125, 0.125)
+REACH_BACK = 2
+"""The same backwards."""
+
+SHARES = (0.124375, 0.124375, 0.4975, 0.124375, 0.124375, 0.005)
 """How often each speed is drawn."""
+
+LASTING = 0.1
+"""Chances that driving backwards ends, or jumps, relative to those of the other speeds."""
 
 START_STEADY = 0.55
 """Probability of steady motion before anything is seen."""

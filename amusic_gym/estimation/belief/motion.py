@@ -6,11 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.estimation.belief.model import (
+    BACKWARDS,
     CHANGE,
     JUMP,
+    LASTING,
     LEAVE,
     MODES,
     REACH,
+    REACH_BACK,
     SETTLE,
     SHARES,
     SLACK,
@@ -25,12 +28,12 @@ from amusic_gym.kernels.tables import part
 
 @inner
 def moves(mode: int) -> tuple[float, float, float, float]:
-    """Probabilities that a mode goes 0, 1, 2 or 3 places in a frame."""
+    """Probabilities that a mode goes 0, 1, 2 or 3 places in a frame; backwards: −2, −1, 0 or 1."""
     if mode == 0:
         return 1.0 - SLACK, SLACK, 0.0, 0.0
     if mode == 1:
         return 0.5, 0.5, 0.0, 0.0
-    if mode == 2:
+    if mode in (2, BACKWARDS):
         return SLACK, 1.0 - 2.0 * SLACK, SLACK, 0.0
     if mode == 3:
         return 0.0, 0.5, 0.5, 0.0
@@ -65,22 +68,28 @@ def predict(
         modes: (MODES, R) belief, of sum 1.
         size: R.
         free: (R,) scratch.
-        line: (REACH + R,) scratch, whose first entries are 0.
+        line: (REACH + R + REACH_BACK,) scratch, whose first REACH entries are 0.
     """
-    add_modes(modes, SPEEDS, size, free)
-    kept, steady, mixed = 0.0, modes[STEADY], part(line, REACH, size)
+    add_modes(modes, BACKWARDS, size, free)
+    kept, steady, backwards = 0.0, modes[STEADY], modes[BACKWARDS]
+    for c in range(size):
+        free[c] += LASTING * backwards[c]
+    mixed = part(line, REACH, size + REACH_BACK)
+    mixed[size] = mixed[size + 1] = 0.0
     for mode in range(MODES):
         row = modes[mode]
         if mode == STEADY:
             keep, change, leave, jump = 1.0 - LEAVE, SETTLE, 0.0, STEADY_JUMP
         else:
-            keep, change = (1.0 - SETTLE) * (1.0 - CHANGE), (1.0 - SETTLE) * CHANGE * SHARES[mode]
-            leave, jump = LEAVE * SHARES[mode], JUMP
+            ends = LASTING if mode == BACKWARDS else 1.0
+            keep, change = 1.0 - ends * (SETTLE + (1.0 - SETTLE) * CHANGE), (1.0 - SETTLE) * CHANGE
+            change, leave, jump = change * SHARES[mode], LEAVE * SHARES[mode], ends * JUMP
         for c in range(size):
             mixed[c] = keep * row[c] + change * free[c] + leave * steady[c]
         p0, p1, p2, p3 = moves(mode)
+        seen = part(line, REACH_BACK if mode == BACKWARDS else 0, REACH + size)
         for c in range(size):
-            moved = p0 * line[c + 3] + p1 * line[c + 2] + p2 * line[c + 1] + p3 * line[c]
+            moved = p0 * seen[c + 3] + p1 * seen[c + 2] + p2 * seen[c + 1] + p3 * seen[c]
             row[c] = (1.0 - jump) * moved
         kept += total(row, size)
     for mode in range(SPEEDS):

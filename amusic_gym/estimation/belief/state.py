@@ -51,7 +51,8 @@ class BeliefState(Table):
     probability of place and way of moving, ``hubs`` and ``variances`` (sets, N, S, R) mean row and
     variance of its places' scores, ``likenesses`` (sets, N, 2, S, S) correlations of techniques and
     the number of frames behind them; scratch: ``likelihoods`` and ``logs`` (S, R), ``shifts``,
-    ``weights`` and ``sums`` (S,), ``prior``, ``joint``, ``windows`` (R,) and ``line`` (REACH + R,).
+    ``weights`` and ``sums`` (S,), ``prior``, ``joint``, ``windows`` (R,) and ``line``
+    (REACH + R + REACH_BACK,).
     """
 
     batch: Batch
