@@ -1,6 +1,7 @@
 """Compare simulated routes with real recordings: a table, and figures into --out.
 
-The recordings are the banks given by --bank; with the variable AMUSIC_DATA, Corridor too.
+The recordings are the banks given by --bank; with the variable AMUSIC_DATA, Corridor too. With
+--speeds, a table of the AUC on simulated routes driven at other speeds instead.
 """
 
 from __future__ import annotations
@@ -8,20 +9,27 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from textwrap import fill
 
 import numpy as np
 from _cli import Parser, destination, run
+from amusic_baselines import make_policy
 from numpy.typing import NDArray
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.importers import from_recording
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.estimation.settings import STATISTICS
+from amusic_gym.evaluation import metrics
 from amusic_gym.evaluation.plots.drawing import GREY, INK, figure_at
+from amusic_gym.evaluation.rollout import rollout
+from amusic_gym.policies.protocol import Context
 from amusic_gym.routes.motion import MOTIONS
-from amusic_gym.routes.simulate import Simulation
+from amusic_gym.routes.retime import NOISE, retimed_truth
+from amusic_gym.routes.simulate import POPULATION, Simulation
 from amusic_gym.routes.statistics import MEASURES, describe
 from amusic_gym.utils.escaping import CsvWriter
 from amusic_gym.utils.storage import write_whole
@@ -30,6 +38,9 @@ ROUTES, SEED = 60, 1000
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 SHOWN = 4  # matrices of each kind in the figure
 SIMULATED, REAL = "#4C72B0", "#C44E52"
+
+SPEEDS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, -1.0)  # places per frame
+FRAMES = 100  # of a drive at a speed, along a route of four times as many
 
 Rows = dict[str, dict[str, float]]  # "bank technique" -> its measures
 
@@ -71,6 +82,40 @@ def column(rows: Rows, key: str) -> NDArray[np.float64]:
     values = np.array([row[key] for row in rows.values()])
     finite: NDArray[np.float64] = values[np.isfinite(values)]
     return finite
+
+
+def driven(bank: ScoreBank, speed: float, rng: np.random.Generator) -> ScoreBank:
+    """`FRAMES` frames along a recording, at so many of its frames per frame, from any of them."""
+    steps = speed * np.arange(FRAMES)
+    frames = np.floor(rng.integers(bank.queries - abs(steps[-1])) + steps - min(steps[-1], 0.0))
+    taken = frames.astype(np.int64)
+    scores = bank.scores[:, taken]
+    noise = NOISE * scores.std(axis=2, keepdims=True) * rng.standard_normal(scores.shape)
+    return ScoreBank(
+        scores + noise,
+        bank.techniques,
+        bank.seconds,
+        tolerance=bank.tolerance,
+        ground_truth=retimed_truth(bank.truth, taken),
+    )
+
+
+def print_speeds(seeds: Sequence[int]) -> None:
+    """Markdown: mean AUC at every speed, by all techniques and by random ones."""
+    routes = replace(POPULATION, retimed=0.0, queries=(4 * FRAMES, 4 * FRAMES))
+    ways = list(product(("belief", "evidence"), ("music", "random:0.3")))
+    areas = np.empty((len(ways), len(SPEEDS), len(seeds)))
+    for i, seed in enumerate(seeds):
+        bank = routes.route(np.random.default_rng(seed))
+        for (w, (statistic, name)), (v, speed) in product(enumerate(ways), enumerate(SPEEDS)):
+            drive = driven(bank, speed, np.random.default_rng(seed))
+            policy = make_policy(name, Context.of(drive, statistic=statistic, seed=seed))
+            trace = rollout(policy, drive, name=name, statistic=statistic)
+            areas[w, v, i] = metrics.area(*metrics.curve(trace))
+    print(f"| places per frame | {' | '.join(f'{speed:g}' for speed in SPEEDS)} |")
+    print("|---" * (len(SPEEDS) + 1) + "|")
+    for way, means in zip(ways, areas.mean(axis=2), strict=True):
+        print(f"| {', '.join(way)} | {' | '.join(f'{mean:.3f}' for mean in means)} |")
 
 
 def print_table(simulated: Rows, real: Rows) -> None:
@@ -142,19 +187,23 @@ def main() -> None:
     """Draw routes, measure both kinds, print and write."""
     parser = Parser(description=__doc__)
     add = parser.add_argument
-    add("--out", type=destination, required=True, metavar="DIR", help="for the figures")
+    add("--out", type=destination, default=Path("out/simulation"), metavar="DIR", help="of figures")
     add("--bank", type=Path, action="append", default=[], metavar="BANK")
     add("--routes", type=int, default=ROUTES, metavar="N", help="simulated routes")
     add("--seed", type=int, default=SEED, metavar="S", help="of the first route")
     add("--motion", choices=MOTIONS, default=Simulation.motion)
+    add("--speeds", action="store_true", help="AUC at several speeds instead")
     args = parser.parse_args()
     if args.routes < 1 or args.seed < 0:
         raise ValueError(
             f"--routes is {args.routes} and --seed {args.seed}; give at least 1 and at least 0"
         )
+    seeds = range(args.seed, args.seed + args.routes)
+    if args.speeds:
+        print_speeds(seeds)
+        return
     real = recordings(args.bank)
     simulation = Simulation(motion=args.motion)
-    seeds = range(args.seed, args.seed + args.routes)
     drawn = [simulation.route(np.random.default_rng(s), name=f"seed {s}") for s in seeds]
     ours, theirs = measure(drawn), measure(real)
     print_table(ours, theirs)
