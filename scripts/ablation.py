@@ -32,7 +32,8 @@ class Ablated:
 
     def __init__(self, selector: Any, means: Mapping[str, float]) -> None:
         self.selector, self.means, self.needs = selector, means, selector.needs
-        self.reset, self.read = selector.reset, []
+        self.reset = selector.reset
+        self.read: list[NDArray[np.float32]] = []
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
         """What the selector does."""
