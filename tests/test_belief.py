@@ -290,7 +290,6 @@ MOTIONS = {  # after 40 frames at one place per frame
     "stop": np.r_[0:40, [40] * 30, 40:70],
     "half speed": np.r_[0:40, 40 + np.arange(50) // 2],
     "double speed": np.r_[0:40, 40 + 2 * np.arange(30)],
-    "backwards": np.r_[0:40, 40:0:-1],
     "jump ahead": np.r_[0:40, 95:135],
     "jump back": np.r_[60:100, 10:50],
 }
@@ -302,6 +301,12 @@ def test_the_belief_follows_any_motion(motion):
     bank = planted(places, 150)
     assert (off_by("belief", bank, places)[50:] <= 3).all()
     assert (off_by("evidence", bank, places)[50:] <= 2).mean() < 0.6
+
+
+@pytest.mark.parametrize("places", [np.r_[100:0:-1], np.r_[0:40, 40:0:-1]])
+def test_weak_techniques_follow_a_drive_backwards(places):
+    bank = planted(places, 150, strengths=(1.5, 1.5))
+    assert (off_by("belief", bank, places)[-30:] <= 3).all()
 
 
 @pytest.mark.parametrize("references", [60, 200])
