@@ -39,14 +39,9 @@ USED_BY = {
 }
 """Settings within those of a training → the algorithms that have a use for them."""
 
-HIGHEST_SEED = 1_000_000_000
-"""Seeds beyond would draw the held-out routes for training."""
-
-MOST_ROUTES = 65_536
-"""Routes side by side; more would take memory by the hundred gigabytes."""
-
-WIDEST = 4096
-"""Largest size of a layer: a damaged file must not fill the memory."""
+HIGHEST_SEED = 1_000_000_000  # seeds beyond would draw the held-out routes for training
+MOST_ROUTES = 65_536  # routes side by side; more would take memory by the hundred gigabytes
+WIDEST = 4096  # largest size of a layer: a damaged file must not fill the memory
 
 
 def count(default: int, least: int = 1, most: int | None = None) -> int:

@@ -20,14 +20,11 @@ from amusic_gym.envs.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.policies.protocol import Needs
 
-VERSION = 1
-"""Rises whenever stored weights of any network would mean something else."""
-
+VERSION = 1  # rises whenever stored weights of any network would mean something else
 WIDTH = len(TECHNIQUE_FEATURES)
 ROUTE_WIDTH = len(ROUTE_FEATURES)
 PRESENT = TECHNIQUE_FEATURES.index("present")
-ABSENT = -20.0
-"""Logit of an empty slot."""
+ABSENT = -20.0  # logit of an empty slot
 
 
 def presence(observation: torch.Tensor) -> torch.Tensor:

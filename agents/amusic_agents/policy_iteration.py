@@ -37,14 +37,9 @@ from amusic_gym.envs.sources import RouteSource
 from amusic_gym.envs.task import Task
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
-SPELL = (3, 50)
-"""Frames for which a route of a collection is driven in one way: by the policy, or by a subset."""
-
-PART = 1000
-"""States that are collected in one go, from the beginning of every route on."""
-
-ACTION_REPEAT = 2
-"""Frames between two decisions of the policy in a rollout; half of the time goes into them."""
+SPELL = (3, 50)  # frames of a collection driven in one way: by the policy, or by a subset
+PART = 1000  # states that are collected in one go, from the beginning of every route on
+ACTION_REPEAT = 2  # frames between two decisions in a rollout; half of the time goes into them
 
 
 class Samples(NamedTuple):
@@ -255,8 +250,7 @@ def collecting(config: TrainingConfig, source: RouteSource) -> Iterator[Any]:
         pool.shutdown(cancel_futures=True)
 
 
-_worker: dict[str, Any] = {}
-"""What a collecting process keeps: the configuration and the environment."""
+_worker: dict[str, Any] = {}  # of a collecting process: its configuration and environment
 
 
 def _begin(config: TrainingConfig, source: RouteSource) -> None:

@@ -21,11 +21,8 @@ from amusic_agents.config import WIDEST, SetSizes, count
 from amusic_agents.network import NetworkSelector, SetEncoder
 from amusic_gym.estimation.settings import BLOCK
 
-FIRST_LOGIT = -3.5
-"""Logit of selecting again before any training: once in 34 frames, for a selection is dear."""
-
-GOLDEN_RATIO = (math.sqrt(5.0) - 1.0) / 2.0
-"""Multiples of it, without their whole part, fill [0, 1) evenly, however many are taken."""
+FIRST_LOGIT = -3.5  # of selecting again, untrained: once in 34 frames, for a selection is dear
+GOLDEN_RATIO = (math.sqrt(5.0) - 1.0) / 2.0  # the fractions of its multiples fill [0, 1) evenly
 
 
 @dataclass(frozen=True)

@@ -42,11 +42,8 @@ CONFIG = "config.json"
 SELECTOR = "selector.safetensors"
 CHECKPOINT = "checkpoint.safetensors"
 EVALUATIONS = "evaluation.csv"
-BEST = "best."
-"""Prefix of the selector's weights in a checkpoint."""
-
-FIRST_KIND = "selector"
-"""Of a selector whose weights name no kind."""
+BEST = "best."  # prefix of the selector's weights in a checkpoint
+FIRST_KIND = "selector"  # of a selector whose weights name no kind
 
 ENVIRONMENT = ("candidates", "history", "gamma", "carry", "discount", "allow_idle")
 """Arguments of the environment that a run may set besides the statistic."""

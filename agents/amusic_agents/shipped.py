@@ -7,13 +7,8 @@ from pathlib import Path
 from amusic_gym.estimation.settings import STATISTICS, SICSettings
 
 PRETRAINED = Path(__file__).parent / "pretrained"
-
-SHIPPED = ("evidence", "belief")
-"""Statistics that a selector ships for, each a run folder in `PRETRAINED`."""
-
-
-IDLING = ("evidence",)
-"""Statistics that one ships for, besides, which may run nothing on a frame."""
+SHIPPED = ("evidence", "belief")  # statistics that a selector ships for: folders of `PRETRAINED`
+IDLING = ("evidence",)  # statistics that one ships for, besides, which may run nothing on a frame
 
 
 def shipped(statistic: str = SICSettings.statistic, *, allow_idle: bool = False) -> Path:

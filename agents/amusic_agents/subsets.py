@@ -22,9 +22,7 @@ from amusic_gym.envs.observation import ROUTE_FEATURES
 from amusic_gym.estimation.settings import COMPUTE_WEIGHT_RANGE
 
 WEIGHT = ROUTE_FEATURES.index("compute_weight")
-
-MOST_SLOTS = 10
-"""Techniques of which all subsets are rated, 1024; every technique more doubles them."""
+MOST_SLOTS = 10  # techniques of which all subsets are rated, 1024; each technique more doubles them
 
 
 @lru_cache

@@ -31,11 +31,8 @@ from amusic_gym.utils.storage import only_writer
 if TYPE_CHECKING:
     from stable_baselines3.common.callbacks import BaseCallback
 
-TRAINING_SEED = 1_000_000
-"""First seed of the training routes; held-out routes have another."""
-
-IMITATION = "imitation"
-"""Folder of the imitation within a run that goes on with PPO."""
+TRAINING_SEED = 1_000_000  # first seed of the training routes; held-out routes have another
+IMITATION = "imitation"  # folder of the imitation within a run that goes on with PPO
 
 
 def train(

@@ -16,8 +16,7 @@ from amusic_gym.utils.optional import optional
 Learn = Callable[[Path, TrainingConfig, bool, Callable[[Evaluation], None]], object]
 """Trains in a run folder, from its last checkpoint if True, and tells of every evaluation."""
 
-Scores = tuple[float, ...]
-"""Held-out scores of a training or trial, by evaluation."""
+Scores = tuple[float, ...]  # held-out scores of a training or trial, by evaluation
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,7 @@ if TYPE_CHECKING:
 
 
 __all__ = ["GroundTruth", "ScoreBank"]
-
-
-_preparing = threading.Lock()
-"""Environments in several threads that share a bank share what is prepared of it, too."""
+_preparing = threading.Lock()  # threads that share a bank share what is prepared of it, too
 
 
 class ScoreBank:

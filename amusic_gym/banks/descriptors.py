@@ -17,9 +17,7 @@ from amusic_gym.utils.names import suggest
 from amusic_gym.utils.optional import optional
 
 H5_SUFFIXES = (".h5", ".hdf5")
-H5_KEY = "global_descriptor"
-"""The dataset that hloc keeps in an image's group."""
-
+H5_KEY = "global_descriptor"  # the dataset that hloc keeps in an image's group
 METRICS = ("dot", "l2", "cosine")
 
 _NUMBERS = 2**25  # of float32 in memory per array: rows of scores, or queries

@@ -12,11 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.utils.checks import whole
 
-LARGEST_TOLERANCE = 2**31 - 1
-"""Places; the compiled dynamics count no further."""
-
-_FEW = 20
-"""Places of a map so small that all of them may be right for all frames."""
+LARGEST_TOLERANCE = 2**31 - 1  # places; the compiled dynamics count no further
+_FEW = 20  # places of a map so small that all of them may be right for all frames
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,9 +21,7 @@ from amusic_gym.banks.truth_files import order_of, read_truth, unpickle
 from amusic_gym.utils import reading
 from amusic_gym.utils.names import suggest
 
-VPRBENCH_MATCHES = "precomputed_data_corrected.npy"
-"""The file that VPR-Bench keeps in each technique's folder."""
-
+VPRBENCH_MATCHES = "precomputed_data_corrected.npy"  # VPR-Bench's file in each technique's folder
 _BLOCK = 2**18  # scores in memory at a time
 _SURE = 4.0  # standard deviations of chance that let scores be taken for distances
 

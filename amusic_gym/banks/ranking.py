@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from amusic_gym.banks.bank import ScoreBank
 
-TOP = 20
-"""Places of a ranked list, unless another number is asked for."""
+TOP = 20  # places of a ranked list, unless another number is asked for
 
 _weights: WeakKeyDictionary[ScoreBank, NDArray[np.float64]] = WeakKeyDictionary()
 """(T, Q) 1/σ of each row over its candidates, 0 for a constant one."""

@@ -23,9 +23,7 @@ from amusic_gym.techniques.own_code import guarded
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
 from amusic_gym.utils.threads import alone
 
-BLOCK = 64
-"""References (and queries) per block."""
-
+BLOCK = 64  # references (and queries) per block
 _ALIGNMENT = 64  # bytes: a cache line, and the widest registers
 
 

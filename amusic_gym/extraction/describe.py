@@ -24,9 +24,7 @@ from amusic_gym.utils.names import few
 
 _SAMPLE = 5  # images of a traverse whose grey levels are counted
 _NAMED = 5  # refused images that are named before they are only counted
-
-FORMAT = 1
-"""Of the cache's entries: raised when the same key would have to mean something else."""
+FORMAT = 1  # of the cache's entries: raised when the same key would have to mean something else
 
 
 def images_of(folder: ImageFolder) -> Images:

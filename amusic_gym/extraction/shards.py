@@ -24,11 +24,8 @@ from amusic_gym.techniques.protocol import Technique
 from amusic_gym.utils.closing import Closing
 from amusic_gym.utils.threads import one_thread
 
-ATTEMPTS = 3
-"""How often a shard is tried whose worker dies."""
-
-Advance: TypeAlias = Callable[[int], object]
-"""Progress callback: called with the amount of work done since the last call."""
+ATTEMPTS = 3  # how often a shard is tried whose worker dies
+Advance: TypeAlias = Callable[[int], object]  # is told the amount of work done since the last call
 
 
 def nothing(done: int) -> None:

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from amusic_gym.extraction.blocks import Images
 from amusic_gym.techniques.protocol import Image
 
-LONGEST = 320
-"""Pixels of a thumbnail's longer side, at most."""
-
+LONGEST = 320  # pixels of a thumbnail's longer side, at most
 _QUALITY = 85
 
 

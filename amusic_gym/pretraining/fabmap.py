@@ -14,8 +14,7 @@ from amusic_gym.techniques.fabmap import local_features, words_of
 from amusic_gym.techniques.fabmap_model import ChowLiuTree
 from amusic_gym.utils.checks import whole
 
-MOST_FEATURES = 200_000
-"""Local features that a vocabulary is learned from: more are drawn from."""
+MOST_FEATURES = 200_000  # local features that a vocabulary is learned from: more are drawn from
 
 
 def train_fabmap(

@@ -21,14 +21,9 @@ from tqdm import tqdm
 from amusic_gym.pretraining.job import TrainingJob
 from amusic_gym.utils.storage import write_whole
 
-SAVE_EVERY = 100
-"""Steps between checkpoints; Ctrl-C makes one too."""
-
-DECAY = 1e-4
-"""Weight decay."""
-
-WARM_UP = 0.1
-"""Share of the steps in which the learning rate rises."""
+SAVE_EVERY = 100  # steps between checkpoints; Ctrl-C makes one too
+DECAY = 1e-4  # weight decay
+WARM_UP = 0.1  # share of the steps in which the learning rate rises
 
 
 def learning_rate(step: int, steps: int, highest: float) -> float:

@@ -33,11 +33,8 @@ from amusic_gym.techniques.saved_weights import save_netvlad
 
 POINT_TEMPERATURE = 0.07
 PLACE_TEMPERATURE = 0.05
-DAMPING = 0.25
-"""Added to the whitening's variances, in mean variances: little ones are mostly noise."""
-
-ROOM = 0.95
-"""Points nearer to the border of a picture than this (-1 to 1) are left out."""
+DAMPING = 0.25  # added to the whitening's variances, in mean variances: small ones are noise
+ROOM = 0.95  # points nearer to the border of a picture than this (-1 to 1) are left out
 
 SHARPNESS = 0.1
 """Weight of the second nearest visual word relative to the nearest, typically (the authors: .01,

@@ -26,9 +26,7 @@ from amusic_gym.techniques.protocol import Image
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import suggest
 
-STRENGTH = 0.7
-"""Of a condition that is written without one."""
-
+STRENGTH = 0.7  # of a condition that is written without one
 PLAIN = "plain"
 
 _Floats = NDArray[np.float32]

@@ -23,8 +23,7 @@ from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.images import digest_of, read_bytes
 from amusic_gym.routes.positions import HALF_TURN, Positions, check_comparable, from_names
 
-METRES = 25.0
-"""Distance within which two images show the same place, as it is customary in this field."""
+METRES = 25.0  # within which two images show the same place, as is customary in this field
 
 
 def by_index(

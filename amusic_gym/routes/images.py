@@ -23,8 +23,7 @@ from amusic_gym.routes.image_headers import KINDS, PNM_MAXIMUM, measure, tiff_ta
 from amusic_gym.techniques.protocol import Image
 from amusic_gym.utils import reading
 
-MAX_PIXELS = 100_000_000
-"""Width times height that is read unless more is asked for: 300 MB once decoded."""
+MAX_PIXELS = 100_000_000  # width times height that is read unless more is asked for: 300 MB
 
 SUFFIXES = tuple(".bmp .jfif .jpe .jpeg .jpg .pbm .pgm .png .pnm .ppm .tif .tiff .webp".split())
 """By which an image file is known in a folder, in lower or upper case."""
@@ -36,8 +35,7 @@ UNREAD_SUFFIXES = tuple(
 """Of images that cannot be read; they are counted and named."""
 
 
-FEW_LEVELS = 64
-"""Grey levels; an image of more than 8 bits that keeps fewer is doubted."""
+FEW_LEVELS = 64  # grey levels; an image of more than 8 bits that keeps fewer is doubted
 
 
 def read_image(path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Image:

@@ -12,20 +12,11 @@ from amusic_gym.routes.video import Quiet, as_colour
 from amusic_gym.techniques.protocol import Image
 from amusic_gym.utils.names import suggest
 
-SCHEMES = ("http", "https", "rtsp", "rtsps")
-"""Begins of addresses that are a camera's."""
-
-SILENT = 2.0
-"""Seconds without a picture after which that is told."""
-
-PATIENCE = 300.0
-"""Seconds without a picture after which a drive ends."""
-
-PAUSE = 0.5
-"""Seconds between two tries to open it."""
-
-TIMEOUT = 5.0
-"""Seconds that opening and reading may block."""
+SCHEMES = ("http", "https", "rtsp", "rtsps")  # begins of addresses that are a camera's
+SILENT = 2.0  # seconds without a picture after which that is told
+PATIENCE = 300.0  # seconds without a picture after which a drive ends
+PAUSE = 0.5  # seconds between two tries to open it
+TIMEOUT = 5.0  # seconds that opening and reading may block
 
 
 class NetworkCamera:

@@ -10,8 +10,7 @@ from fractions import Fraction
 from itertools import pairwise
 from pathlib import PurePath
 
-GAP = Fraction(3, 2)
-"""A step of so many usual ones leaves a number out."""
+GAP = Fraction(3, 2)  # a step of so many usual ones leaves a number out
 
 HOW = "give the order as a list of names (--order FILE, or order= of ImageFolder)"
 """What to do where names do not tell the order."""

@@ -26,8 +26,7 @@ from amusic_gym.routes.ros_positions import is_bag, read_bag
 from amusic_gym.routes.tracks import Track, heading_of, in_seconds, refuse_missing
 from amusic_gym.utils import reading
 
-EXIF = "exif"
-"""In place of a file: positions that the images' own EXIF data give."""
+EXIF = "exif"  # in place of a file: positions that the images' own EXIF data give
 
 COLUMNS = {
     "name": "name file filename image path image_name",

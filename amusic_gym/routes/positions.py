@@ -21,9 +21,7 @@ from amusic_gym.routes.folders import ImageFolder
 GEOGRAPHIC, PROJECTED, LOCAL = "latitude and longitude", "easting and northing", "x and y"
 """Systems of coordinates; only positions in one and the same can be compared."""
 
-HALF_TURN = 180
-"""Degrees, the largest difference of two headings."""
-
+HALF_TURN = 180  # degrees, the largest difference of two headings
 _STRETCH = 2.0  # a traverse is longer than so many metres, and seldom than as many degrees
 _EQUATOR, _FLATTENING = 6_378_137.0, 1 / 298.257223563  # WGS84: metres of the radius
 

@@ -12,9 +12,7 @@ from amusic_gym.routes.positions import GEOGRAPHIC, LOCAL, Positions, from_degre
 from amusic_gym.routes.tracks import Track, heading_of
 from amusic_gym.utils.optional import optional
 
-SUFFIXES = (".bag", ".mcap", ".db3")
-"""Of bags that are files; a bag of ROS 2 is a folder with a ``metadata.yaml``."""
-
+SUFFIXES = (".bag", ".mcap", ".db3")  # of files; ROS 2 has folders with a ``metadata.yaml``, too
 FIXES = "sensor_msgs/msg/NavSatFix"
 POSES = {
     "nav_msgs/msg/Odometry": lambda message: message.pose.pose,

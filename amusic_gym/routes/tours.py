@@ -27,15 +27,9 @@ from amusic_gym.routes.route_model import no_repeats
 from amusic_gym.utils import storage
 from amusic_gym.utils.checks import whole
 
-SHORTEST, LONGEST = 40, 80
-"""Frames of a spell; the last one ends with the tour and may be shorter."""
-
-SPELLS = "segments.json"
-"""File of the spells in a folder of `write_tour`."""
-
-REFERENCE, QUERY = "reference", "query"
-"""Folders of the images in a folder of `write_tour`."""
-
+SHORTEST, LONGEST = 40, 80  # frames of a spell; the last one ends with the tour and may be shorter
+SPELLS = "segments.json"  # file of the spells in a folder of `write_tour`
+REFERENCE, QUERY = "reference", "query"  # folders of the images in a folder of `write_tour`
 Folder = ImageFolder | str | os.PathLike[str]
 
 

@@ -22,12 +22,8 @@ from amusic_gym.utils.names import suggest
 CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 """Suffix of a video to write → its codec; both are in every build of OpenCV."""
 
-HIGHEST_CAMERA = 2**31 - 1
-"""OpenCV takes no larger number."""
-
-TRIES = 5
-"""Failures in a row after which a camera, or a video with all its frames, is at its end."""
-
+HIGHEST_CAMERA = 2**31 - 1  # OpenCV takes no larger number
+TRIES = 5  # failures in a row after which a camera, or a video with all its frames, is at its end
 _MOST_TRIES = 10_000  # of a video that announces more frames
 _PAUSE = 0.02  # seconds between two tries of a camera
 _JITTER = 1e-3  # seconds by which a frame may come before its time

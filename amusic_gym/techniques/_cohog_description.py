@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from amusic_gym.kernels.compiling import without_gil
 
-RADIUS = 5
-"""Of the disk around a pixel: all pixels at most so far away, centre to centre."""
+RADIUS = 5  # of the disk around a pixel: all pixels at most so far away, centre to centre
 
 
 @without_gil

@@ -31,15 +31,9 @@ from amusic_gym.kernels.lanes import (
     zeros,
 )
 
-SIDE = 32
-"""Cells per row, and rows of cells, of an image."""
-
-BINS = 8
-"""Directions per cell."""
-
-ROW = (BINS + 1) * SIDE
-"""Numbers per row of cells in a descriptor: its bins, then a number per region."""
-
+SIDE = 32  # cells per row, and rows of cells, of an image
+BINS = 8  # directions per cell
+ROW = (BINS + 1) * SIDE  # numbers per row of cells in a descriptor: its bins, then one per region
 Floats = NDArray[np.float32]
 Integers = NDArray[np.int64]
 

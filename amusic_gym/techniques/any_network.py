@@ -27,11 +27,8 @@ from amusic_gym.utils.reading import open_file
 
 RECIPES = Path(__file__).parent / "recipes"
 DEVICES = ("cpu", "cuda")
-BATCH = 16
-"""Images that a GPU describes at once."""
-
-Run = Callable[[torch.Tensor], Any]
-"""(B, 3, H, W) -> a network's outputs."""
+BATCH = 16  # images that a GPU describes at once
+Run = Callable[[torch.Tensor], Any]  # (B, 3, H, W) -> a network's outputs
 
 
 class _Network(Technique):

@@ -31,9 +31,7 @@ from amusic_gym.techniques.preparation import Preparation, Triple, check_image
 from amusic_gym.techniques.protocol import Image
 from amusic_gym.techniques.weight_files import WeightFile
 
-LEAST = 96
-"""Pixels that a side has at least: smaller ones are enlarged, or pooling would leave nothing."""
-
+LEAST = 96  # pixels of a side: smaller ones are enlarged, or pooling would leave nothing
 _FIRST_VGG16 = "layers.28.weights.0"
 _FIRST_ALEXNET = "layers.12.weights.0"
 

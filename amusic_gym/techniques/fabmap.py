@@ -13,12 +13,8 @@ from amusic_gym.techniques.preparation import check_image
 from amusic_gym.techniques.protocol import Descriptor, Image, Parameters, Technique
 from amusic_gym.techniques.weight_files import read_weights
 
-SIDE = 480
-"""Pixels of the longer side that features are looked for in."""
-
-LENGTH = 128
-"""Numbers of a local feature."""
-
+SIDE = 480  # pixels of the longer side that features are looked for in
+LENGTH = 128  # numbers of a local feature
 _LEAST = 16  # pixels of the shorter side
 
 

@@ -15,18 +15,10 @@ from numpy.typing import NDArray
 
 from amusic_gym.techniques.weight_files import WeightFile, write_weights
 
-P_SEEN = 0.39
-"""Probability that a word that is there is seen; one that is not there never is."""
-
-LEAST_INFORMATION = 0.0005
-"""Mutual information, in nats, below which two words are not joined."""
-
-SMOOTHING = 0.98
-"""Share of an observed frequency in a probability; the rest is spread on both values."""
-
-NEVER = 1e-300
-"""Stands for probability 0 in a logarithm."""
-
+P_SEEN = 0.39  # probability that a word that is there is seen; one that is not there never is
+LEAST_INFORMATION = 0.0005  # mutual information, in nats, below which two words are not joined
+SMOOTHING = 0.98  # share of an observed frequency in a probability; the rest is spread evenly
+NEVER = 1e-300  # stands for probability 0 in a logarithm
 TECHNIQUE = "FAB-MAP"
 
 Floats = NDArray[np.float64]

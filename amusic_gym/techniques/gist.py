@@ -12,15 +12,9 @@ from numpy.typing import NDArray
 from amusic_gym.techniques.preparation import check_image
 from amusic_gym.techniques.protocol import Descriptor, Image, Parameters, Technique
 
-BLOCKS = 4
-"""Rows and columns of the grid over which energies are averaged."""
-
-PREFILTER = 4.0
-"""Cycles per image below which the prefilter takes contrast away."""
-
-MARGIN = 5
-"""Pixels that the prefilter's input is mirrored by."""
-
+BLOCKS = 4  # rows and columns of the grid over which energies are averaged
+PREFILTER = 4.0  # cycles per image below which the prefilter takes contrast away
+MARGIN = 5  # pixels that the prefilter's input is mirrored by
 Floats = NDArray[np.float64]
 
 

@@ -23,9 +23,7 @@ NUMBERS = {
 """Type of an element → how NumPy calls its numbers."""
 
 CELL, STRUCT = 1, 2
-FLOATS = {6: "f8", 7: "f4"}
-"""Class of a matrix → its numbers; whole ones may be stored in fewer bytes."""
-
+FLOATS = {6: "f8", 7: "f4"}  # class of a matrix → numbers; whole ones may be stored in fewer bytes
 COMPLEX = 0x800
 DEEPEST = 20
 PIECE = 1 << 20

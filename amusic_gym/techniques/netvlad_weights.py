@@ -46,8 +46,7 @@ MATLAB_NAMES = {
 PUBLIC_INPUT = Preparation(width=640, height=480, interpolation="cubic")
 """Input for public weights; mean and deviation are ImageNet's, the family's, or the file's."""
 
-OPENIBL_COLOURS = ((123.68, 116.779, 103.939), (1.0, 1.0, 1.0))
-"""Mean and deviation that OpenIBL's weights expect."""
+OPENIBL_COLOURS = ((123.68, 116.779, 103.939), (1.0, 1.0, 1.0))  # mean, deviation
 
 PYTORCH = (
     ("pool", "encoder", "WPCA.0"),

@@ -22,12 +22,8 @@ from amusic_gym.utils.checks import whole
 
 Stages: TypeAlias = tuple[tuple[int, ...], ...]
 Network = TypeVar("Network", bound=nn.Module)
-
-COMPACT_STAGES: Stages = ((16, 16), (32, 32), (64, 64), (128, 128))
-"""Channels of a backbone small enough to ship."""
-
-WIDEST = 65536
-"""Largest size of a layer: a damaged file must not fill the memory."""
+COMPACT_STAGES: Stages = ((16, 16), (32, 32), (64, 64), (128, 128))  # small enough to ship
+WIDEST = 65536  # largest size of a layer: a damaged file must not fill the memory
 
 
 class CALCEncoder(nn.Module):

@@ -13,8 +13,7 @@ from amusic_gym.techniques.protocol import Image
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import suggest
 
-CALC_SIZE = (160, 120)
-"""Width and height of the images that CALC's network takes."""
+CALC_SIZE = (160, 120)  # width and height of the images that CALC's network takes
 
 INTERPOLATIONS = {
     "cubic": cv2.INTER_CUBIC,
@@ -22,9 +21,7 @@ INTERPOLATIONS = {
     "area": cv2.INTER_AREA,
 }
 
-WIDEST = 8192
-"""Largest width and height of a network's input: a damaged file must not fill the memory."""
-
+WIDEST = 8192  # largest side of a network's input: a damaged file must not fill the memory
 Triple = tuple[float, float, float]
 
 

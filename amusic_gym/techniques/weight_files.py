@@ -28,12 +28,8 @@ from amusic_gym.utils.names import few
 from amusic_gym.utils.reading import open_file
 from amusic_gym.utils.storage import write_whole
 
-FORMAT_VERSION = 1
-"""Of our own layout (saved_weights.py); rises when stored weights would mean something else."""
-
-DESCRIPTION = "amusic_gym"
-"""Name of the metadata in which a file in our layout describes itself."""
-
+FORMAT_VERSION = 1  # of our own layout; rises when stored weights would mean something else
+DESCRIPTION = "amusic_gym"  # name of the metadata in which a file in our layout describes itself
 PRETRAINED = Path(__file__).parent / "pretrained"
 
 

@@ -19,12 +19,8 @@ from amusic_gym.techniques.matfile import TooLargeError, read_matfile
 
 Arrays: TypeAlias = dict[str, NDArray[Any]]
 Reader: TypeAlias = Callable[[bytes], tuple[Arrays, dict[str, str]]]
-
-MOST_BYTES = 2 << 30
-"""What neither a file nor its contents may exceed; NetVLAD's public files have 0.6 GB."""
-
-FLOOR_POOLING = "floor_pooling"
-"""Metadata of a network (ONNX) whose pooling rounds sizes down."""
+MOST_BYTES = 2 << 30  # of a file, and of its contents; NetVLAD's public files have 0.6 GB
+FLOOR_POOLING = "floor_pooling"  # metadata of a network (ONNX) whose pooling rounds sizes down
 
 
 class RefusalError(ValueError):

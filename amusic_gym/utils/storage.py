@@ -30,12 +30,8 @@ _PREFIX = ".amusic-"
 _UNFINISHED = f"{_PREFIX}*.tmp*"
 _WRITTEN = f"{_PREFIX}written.json"
 _ATTEMPTS = 20
-_PATIENCE = 2.0
-"""Seconds to wait for a lock without a word."""
-
-_swept: set[Path] = set()
-"""Folders that this process has swept for `replacing_file`."""
-
+_PATIENCE = 2.0  # seconds to wait for a lock without a word
+_swept: set[Path] = set()  # folders that this process has swept for `replacing_file`
 _SWAP_UNSUPPORTED = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EXDEV, errno.EPERM)
 _OCCUPIED = (errno.ENOTEMPTY, errno.EEXIST)
 

@@ -11,8 +11,7 @@ from amusic_gym.worlds.conditions import Look
 from amusic_gym.worlds.noise import generator
 from amusic_gym.worlds.world import World
 
-FOCAL = 0.72
-"""Focal length per image width: 70 degrees across."""
+FOCAL = 0.72  # focal length per image width: 70 degrees across
 
 
 @dataclass(frozen=True)

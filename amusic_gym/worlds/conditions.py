@@ -68,12 +68,8 @@ CONDITIONS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 """What each condition changes in a `Look`; join several with "+", as in ``"winter+night"``."""
 
-STRETCHES = "changing"
-"""The condition that drives through stretches of others."""
-
-REFERENCE = "day"
-"""The condition of the map."""
-
+STRETCHES = "changing"  # the condition that drives through stretches of others
+REFERENCE = "day"  # the condition of the map
 STRETCH_METRES = 60.0
 
 NAMES: tuple[str, ...] = (*CONDITIONS, STRETCHES)

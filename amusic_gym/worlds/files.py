@@ -18,13 +18,9 @@ from amusic_gym.worlds.film import Image
 from amusic_gym.worlds.views import SIZE, check_places, check_size, render
 from amusic_gym.worlds.world import SPACING, Kind, World
 
-QUALITY = 92
-"""Of the JPEG files: recordings have their artefacts too, and a place takes about 35 kB."""
-
+QUALITY = 92  # of JPEG files: recordings have their artefacts too, and a place takes about 35 kB
 SETTINGS = "render.json"
-
-VERSION = 1
-"""Raised when the same settings begin to give other pictures."""
+VERSION = 1  # raised when the same settings begin to give other pictures
 
 
 @dataclass(frozen=True)

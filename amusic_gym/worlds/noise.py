@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float32]
 Generator = np.random.Generator
-
-FIELD = 512
-"""Rows and columns of a fractal field; it tiles."""
+FIELD = 512  # rows and columns of a fractal field; it tiles
 
 
 def generator(*keys: int | str) -> Generator:

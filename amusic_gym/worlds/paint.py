@@ -10,11 +10,8 @@ from numpy.typing import NDArray
 
 from amusic_gym.worlds.noise import Floats, Generator, patch
 
-Colour = tuple[float, float, float]
-"""Blue, green, red, 0-255."""
-
-TEXELS = 26
-"""Texels per metre of walls and things."""
+Colour = tuple[float, float, float]  # blue, green, red, 0-255
+TEXELS = 26  # texels per metre of walls and things
 
 
 class Paint:

@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 
 from amusic_gym.kernels.compiling import compiled, inner
 
-NEAR = 0.6
-"""Metres: nothing nearer is drawn."""
-
+NEAR = 0.6  # metres: nothing nearer is drawn
 Floats = NDArray[np.float32]
 Vector = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

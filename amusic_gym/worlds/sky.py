@@ -7,17 +7,10 @@ import numpy as np
 
 from amusic_gym.worlds.noise import FIELD, Floats, fractal, generator
 
-ROUND = 4096
-"""Columns of a panorama: 360 degrees."""
-
-SCALE = 40.0
-"""Texels of the cloud field per height of the clouds."""
-
-HILLS = 240
-"""Rows of the skyline, from the horizon up."""
-
-RISE = 512
-"""Rows: from 45 degrees above the horizon down to it."""
+ROUND = 4096  # columns of a panorama: 360 degrees
+SCALE = 40.0  # texels of the cloud field per height of the clouds
+HILLS = 240  # rows of the skyline, from the horizon up
+RISE = 512  # rows: from 45 degrees above the horizon down to it
 
 
 def clouds(seed: int, run: int, cover: float, zenith: Floats, horizon: Floats) -> Floats:

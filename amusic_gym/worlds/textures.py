@@ -12,11 +12,8 @@ from amusic_gym.worlds import corridor, facades, land, plants, things
 from amusic_gym.worlds.layout import Key
 from amusic_gym.worlds.paint import Paint
 
-LEVELS = 7
-"""Halved copies of a texture, at most."""
-
-Levels = tuple[NDArray[np.uint8], NDArray[np.int64]]
-"""Pixels of all levels, flat, and (start, width, height) of each."""
+LEVELS = 7  # halved copies of a texture, at most
+Levels = tuple[NDArray[np.uint8], NDArray[np.int64]]  # pixels, flat; (start, width, height) each
 
 MAKERS: dict[str, Callable[..., Paint]] = {
     "facade": facades.facade,

@@ -11,14 +11,9 @@ from amusic_gym.worlds.drawing import draw
 from amusic_gym.worlds.film import Image
 from amusic_gym.worlds.world import SPACING, Kind, World
 
-SIZE = (320, 240)
-"""Columns and rows."""
-
-LARGEST = 4096
-"""Pixels along a side, at most."""
-
-MOST = 100_000
-"""Places of a traverse, at most."""
+SIZE = (320, 240)  # columns and rows
+LARGEST = 4096  # pixels along a side, at most
+MOST = 100_000  # places of a traverse, at most
 
 
 def render(

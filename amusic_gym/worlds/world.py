@@ -27,12 +27,8 @@ KINDS: tuple[Kind, ...] = ("street", "rail", "corridor")
 ROUTES: dict[str, ModuleType] = {"street": street, "rail": railway, "corridor": corridor}
 """What each kind is made of: a module with the same names as the others."""
 
-SPACING = {kind: float(route.SPACING) for kind, route in ROUTES.items()}
-"""Metres from one place to the next, by kind."""
-
-AHEAD = 6
-"""Blocks drawn from the camera's own one on."""
-
+SPACING = {kind: float(route.SPACING) for kind, route in ROUTES.items()}  # metres between places
+AHEAD = 6  # blocks drawn from the camera's own one on
 Kept = TypeVar("Kept")
 
 
