@@ -74,14 +74,9 @@ def checked(default: Any, check: Callable[[str, Any], object]) -> Any:
 
 @dataclass(frozen=True)
 class Settings:
-    """Base of all settings.
-
-    Raises:
-        ValueError: for a value that its field's check refuses.
-    """
+    """Base of all settings; raises a ValueError for a value that its field's check refuses."""
 
     def __post_init__(self) -> None:
-        """Check every field that has a check."""
         for each in fields(self):
             if "check" in each.metadata:
                 each.metadata["check"](each.name, getattr(self, each.name))
@@ -231,7 +226,6 @@ class TrainingConfig(Settings):
     rollouts: RolloutConfig = field(default_factory=RolloutConfig)
 
     def __post_init__(self) -> None:
-        """Refuse what no training can use."""
         super().__post_init__()
         for name, known in (("algorithm", ALGORITHMS), ("reward", REWARDS)):
             if getattr(self, name) not in known:
@@ -295,10 +289,6 @@ def training_config(algorithm: str, **given: Any) -> TrainingConfig:
 def with_values(settings: Any, values: Mapping[str, Any]) -> Any:
     """Settings with other values, as JSON has them: lists for ranges, objects for settings within.
 
-    Args:
-        settings: the settings, which stay as they are.
-        values: name → value; what is not named is as in ``settings``.
-
     Raises:
         ValueError: for an unknown name or a value that is refused.
     """
@@ -335,11 +325,7 @@ def leaves(settings: Settings, prefix: str = "") -> dict[str, Any]:
 
 
 def with_leaves(settings: Any, values: Mapping[str, Any]) -> Any:
-    """Settings with other values, named as `leaves` names them.
-
-    Raises:
-        ValueError: as `with_values`.
-    """
+    """Settings with other values, named as `leaves` names them; raises as `with_values`."""
     return with_values(settings, nested(values))
 
 

@@ -20,14 +20,7 @@ def make_env(
     env_type: type[TechniqueSelectionVectorEnv] = TechniqueSelectionVectorEnv,
     **arguments: Any,
 ) -> TechniqueSelectionVectorEnv:
-    """The environment to learn in, and one thread for PyTorch.
-
-    Args:
-        config: how many routes, how SIC works, which λ.
-        source: the routes.
-        env_type: the environment's class.
-        arguments: other ones of the environment.
-    """
+    """The environment to learn in, with other ``arguments``, and one thread for PyTorch."""
     torch.set_num_threads(1)  # small batches: more threads only wait for each other
     return env_type(
         config.n_envs,

@@ -33,11 +33,7 @@ def presence(observation: torch.Tensor) -> torch.Tensor:
 
 
 class SetEncoder(nn.Sequential):
-    """Encodes every technique by the same layers, and all together by mean and maximum.
-
-    Args:
-        sizes: of the layers.
-    """
+    """Encodes every technique by the same layers, and all together by mean and maximum."""
 
     def __init__(self, sizes: SetSizes) -> None:
         super().__init__(
@@ -63,9 +59,6 @@ class SelectorNetwork(nn.Module):
 
     One head gives each technique's logit from its own encoding and the pool, another the features.
     Permuting the techniques permutes the logits.
-
-    Args:
-        sizes: of the layers, and the first logit.
     """
 
     def __init__(self, sizes: NetworkConfig) -> None:
@@ -115,11 +108,6 @@ class SelectorNetwork(nn.Module):
 class NetworkSelector(ABC):
     """A policy that acts as a trained network says.
 
-    Attributes:
-        kind: the kind's name in the file of the weights.
-        sizes_type: dataclass of the network's sizes; refuses those that no network has.
-        network_type: makes a network of such sizes.
-
     Args:
         network: the network.
         statistic: SIC's statistic that it was trained on.
@@ -128,9 +116,10 @@ class NetworkSelector(ABC):
         reselection: M of the environment's re-select bit; None: it has none.
     """
 
-    kind: ClassVar[str]
+    kind: ClassVar[str]  # the kind's name in the file of the weights
+    # dataclass of the network's sizes; refuses those that no network has
     sizes_type: ClassVar[type[Any]]
-    network_type: ClassVar[type[Any]]
+    network_type: ClassVar[type[Any]]  # makes a network of such sizes
 
     def __init__(
         self,

@@ -32,16 +32,6 @@ def run_of_statistic(argument: str | None) -> Path:
     return shipped(statistic, allow_idle=rest == IDLE)
 
 
-def ppo(argument: str | None, context: Context) -> Policy:
-    """The selector of `run_of`."""
-    return _load(run_of(argument), context)
-
-
-def ppo_of_statistic(argument: str | None, context: Context) -> Policy:
-    """The selector of `run_of_statistic`."""
-    return _load(run_of_statistic(argument), context)
-
-
 def _load(run: Path, context: Context) -> Policy:
     from amusic_agents.selector import load_selector
 
@@ -76,7 +66,7 @@ def _facts(run: Path) -> Facts:
 POLICIES = {
     "ppo": RegisteredPolicy(
         "ppo",
-        ppo,
+        lambda argument, context: _load(run_of(argument), context),
         LEARNED,
         "selector (ppo)",
         label_of=lambda argument: f"selector (ppo:{Path(argument).name})",
@@ -85,7 +75,7 @@ POLICIES = {
     ),
     "ppo@": RegisteredPolicy(
         "ppo@",
-        ppo_of_statistic,
+        lambda argument, context: _load(run_of_statistic(argument), context),
         LEARNED,
         label_of="selector (ppo@{})".format,
         reads_weight=lambda argument: True,

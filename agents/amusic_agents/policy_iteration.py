@@ -58,13 +58,7 @@ def joined(parts: Sequence[Samples]) -> Samples:
 
 
 class RolloutLearner:
-    """The iterations of collecting and learning.
-
-    Args:
-        config: how; ``config.rollouts`` above all.
-        source: routes to drive on.
-        records: of the run folder.
-    """
+    """The iterations of collecting and learning."""
 
     kind = SubsetSelector
 
@@ -148,21 +142,11 @@ class RolloutLearner:
             raise ValueError("states of another size or kind")
 
 
-# ---- collecting ----------------------------------------------------------------------------
-
-
 class BehaviourPolicy:
     """Drives the routes of a collection: each spell by the policy so far, or by one subset.
 
-    Subsets lead to states that the policy would not come to, and must recover from.
-
-    Args:
-        routes: N.
-        slots: S.
-        policy: the policy so far; None: subsets only.
-        share: of the spells that the policy drives.
-        rng: of all that is drawn.
-        idle: whether a subset may be empty.
+    Subsets lead to states that the policy would not come to, and must recover from. ``share`` of
+    the spells are the policy's, None: none; a subset may be empty if ``idle``.
     """
 
     def __init__(
@@ -351,9 +335,6 @@ def roll_out(
     means = (sums / weights.cumsum()[-1]).astype(np.float32)
     correctness, compute = means.reshape(2, routes, count)
     return correctness, compute
-
-
-# ---- learning ------------------------------------------------------------------------------
 
 
 def learn(

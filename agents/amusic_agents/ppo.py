@@ -122,8 +122,6 @@ class PPOLearner(BaseCallback):
         """The network that is being trained."""
         return self.model.policy.mlp_extractor  # type: ignore[return-value]
 
-    # ---- the training ----------------------------------------------------------------------
-
     def run(self, progress: bool) -> None:
         """Train until all frames are driven and the last weights evaluated.
 
@@ -197,8 +195,6 @@ class PPOLearner(BaseCallback):
         self._next = steps + self.config.evaluate_every
         self.checkpoint()
 
-    # ---- checkpoints -----------------------------------------------------------------------
-
     def checkpoint(self) -> None:
         """Write everything that resuming needs."""
         model = self.model
@@ -261,9 +257,6 @@ def _logger(out: Path, timesteps: int) -> Logger:
     suffix = f"-{timesteps}" if timesteps else ""
     kinds = ("csv", "tensorboard")
     return Logger(str(out), [make_output_format(kind, str(out), suffix) for kind in kinds])
-
-
-# ---- when to select again ------------------------------------------------------------------
 
 
 class ReselectLearner(PPOLearner):

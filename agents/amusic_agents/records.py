@@ -112,8 +112,7 @@ class Records:
     def restoring(self, network: nn.Module) -> Iterator[tuple[Tensors, dict[str, str]]]:
         """The tensors and metadata of the checkpoint, after what is kept here was taken from it.
 
-        Args:
-            network: of the kind that is trained; it stays as it is.
+        ``network`` is of the kind that is trained; it stays as it is.
 
         Raises:
             FileNotFoundError: if there is no checkpoint.

@@ -61,11 +61,7 @@ class HeldSelection:
 
 
 class ReselectNetwork(nn.Module):
-    """Logits (B, 2) of going on and of selecting again, from observations (B, D).
-
-    Args:
-        sizes: of the layers.
-    """
+    """Logits (B, 2) of going on and of selecting again, from observations (B, D)."""
 
     def __init__(self, sizes: ReselectSizes) -> None:
         super().__init__()

@@ -133,8 +133,7 @@ def stored_config(run: Path) -> TrainingConfig:
     try:
         values = dict(config["training"])
         values.pop("warm_start", None)  # of an earlier version
-        given: TrainingConfig = with_values(TrainingConfig(), values)
-        return given
+        return with_values(TrainingConfig(), values)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(
             f"{run / CONFIG} is damaged ({error}); train the selector again"
@@ -192,8 +191,7 @@ def read_list(path: Path, metadata: Mapping[str, str], name: str) -> list[Any]:
         KeyError: where there is none.
         ValueError: where it is no list of plain finite values.
     """
-    found: list[Any] = parse_json(metadata[name].encode(), path, "train again", list)
-    return found
+    return parse_json(metadata[name].encode(), path, "train again", list)
 
 
 def part(tensors: Tensors, prefix: str) -> Tensors:
@@ -202,25 +200,14 @@ def part(tensors: Tensors, prefix: str) -> Tensors:
 
 
 def write_selector(run: Path, network: nn.Module, sizes: Any, kind: str = FIRST_KIND) -> None:
-    """Store a network as the run's selector.
-
-    Args:
-        run: the run folder.
-        network: the network.
-        sizes: dataclass of its sizes.
-        kind: what it is, a name out of `amusic_agents.selector.KINDS`.
-    """
+    """Store a network as the run's selector; ``kind`` is one of `amusic_agents.selector.KINDS`."""
     about = asdict(sizes) if kind == FIRST_KIND else {"kind": kind, **asdict(sizes)}
     # One entry: safetensors writes several in any order, and the same weights are the same bytes.
     write_tensors(run / SELECTOR, dict(network.state_dict()), {"network": json.dumps(about)})
 
 
 def check_layers(path: Path, tensors: Tensors, expected: Mapping[str, torch.Tensor]) -> None:
-    """Refuse weights that are not those of a network.
-
-    Raises:
-        ValueError: naming the first layer of another name, shape or type, or with NaN.
-    """
+    """Refuse weights that are not a network's, naming the first other layer, or one with NaN."""
     for name in sorted(expected.keys() | tensors.keys()):
         have, want = tensors.get(name), expected.get(name)
         if have is None or want is None or (have.shape, have.dtype) != (want.shape, want.dtype):

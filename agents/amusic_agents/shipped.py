@@ -12,11 +12,7 @@ IDLING = ("evidence",)  # statistics that one ships for, besides, which may run 
 
 
 def shipped(statistic: str = SICSettings.statistic, *, allow_idle: bool = False) -> Path:
-    """Run folder of the selector that ships for a statistic.
-
-    Args:
-        statistic: the statistic.
-        allow_idle: the one that may run nothing on a frame.
+    """Run folder of the selector that ships for a statistic, or of the one that may idle.
 
     Raises:
         ValueError: for a statistic that none ships for.

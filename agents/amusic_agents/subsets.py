@@ -56,21 +56,13 @@ def valid(present: torch.Tensor, idle: bool = False) -> torch.Tensor:
 
 @dataclass(frozen=True)
 class SubsetSizes(SetSizes):
-    """Sizes of the network.
+    """Sizes of the network."""
 
-    Attributes:
-        ensemble: networks whose values are averaged.
-    """
-
-    ensemble: int = count(4, most=WIDEST)
+    ensemble: int = count(4, most=WIDEST)  # networks whose values are averaged
 
 
 class SubsetValues(nn.Module):
-    """Expected correctness and compute (B, A, 2) of subsets from observations (B, D).
-
-    Args:
-        sizes: of the layers.
-    """
+    """Expected correctness and compute (B, A, 2) of subsets from observations (B, D)."""
 
     def __init__(self, sizes: SetSizes) -> None:
         super().__init__()
@@ -92,9 +84,6 @@ class SubsetNetwork(nn.Module):
     """Ratings (B, A) of subsets from observations (B, D), by an ensemble.
 
     A rating is the correctness that is to be expected, less λ times the compute.
-
-    Args:
-        sizes: of the layers, and the ensemble's.
     """
 
     def __init__(self, sizes: SubsetSizes) -> None:

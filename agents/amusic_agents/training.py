@@ -121,11 +121,7 @@ def train(
 
 
 def refuse_used(out: Path) -> None:
-    """Refuse a folder that holds a training already, or that is in the folder of a bank.
-
-    Raises:
-        ValueError: naming the file, or the bank.
-    """
+    """Refuse a folder that holds a training already, or that is in the folder of a bank."""
     refuse_within_bank(out)
     if out.exists() and not out.is_dir():
         raise ValueError(f"{out} is a file; give a folder")

@@ -36,13 +36,7 @@ JUDGING = ("seed", "timesteps", "threads", "evaluate_every", "held_out")
 
 @dataclass(frozen=True)
 class Range:
-    """Numbers to search in.
-
-    Attributes:
-        low: the lowest.
-        high: the highest.
-        log: whether on a logarithmic scale.
-    """
+    """Numbers to search in, on a logarithmic scale if ``log``."""
 
     low: float
     high: float
@@ -147,8 +141,7 @@ class Study:
         """The configuration of a trial."""
         defaults = leaves(self.base)
         values = {name: _draw(trial, name, of, defaults[name]) for name, of in self.space.items()}
-        found: TrainingConfig = with_leaves(self.base, values)
-        return found
+        return with_leaves(self.base, values)
 
     def run_round(self, count: int, workers: Workers) -> list[optuna.trial.FrozenTrial]:
         """Draw settings of ``count`` trials, train with them, and keep what they reached."""
@@ -264,11 +257,7 @@ def tune(
 
 
 def check_space(space: Space, config: TrainingConfig) -> None:
-    """Refuse what cannot be searched, or no training would take.
-
-    Raises:
-        ValueError: for the first such setting.
-    """
+    """Refuse the first setting that cannot be searched, or that no training would take."""
     known = leaves(config)
     if not space:
         raise ValueError("there is nothing to search; give at least one setting")

@@ -105,8 +105,6 @@ class ScoreBank:
         self._given = (costs, seconds)  # the cost model that came with the scores
         self._prepared: dict[int, PreparedRows] = {}
 
-    # ---- shape and scores ----------------------------------------------------------------
-
     @property
     def shape(self) -> tuple[int, int, int]:
         """(T, Q, R): techniques, queries, references."""
@@ -154,8 +152,6 @@ class ScoreBank:
         """
         for technique, stored in zip(self.techniques, self.index, strict=True):
             check_rows(technique, self.stored[stored])
-
-    # ---- views ---------------------------------------------------------------------------
 
     def subset(self, names: Sequence[str]) -> ScoreBank:
         """The same bank with the techniques ``names`` only, in that order.
@@ -205,8 +201,6 @@ class ScoreBank:
         view = ScoreBank.__new__(ScoreBank)
         view.__dict__.update(self.__dict__)  # the rows prepared so far are shared too
         return view
-
-    # ---- disk and copies -----------------------------------------------------------------
 
     @property
     def folder(self) -> Path | None:

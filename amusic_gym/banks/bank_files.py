@@ -75,11 +75,7 @@ def write(
 
 
 def refuse_within_bank(path: Path) -> None:
-    """Refuse to write to a bank's folder, or below it, anything but the bank.
-
-    Raises:
-        ValueError: naming the bank.
-    """
+    """Refuse to write to a bank's folder, or below it, anything but the bank."""
     path = Path(os.path.realpath(path))
     for folder in (path, *path.parents):
         if (folder / MANIFEST).is_file() and (folder / SCORES).is_file():
@@ -182,11 +178,7 @@ def size_and_checksum(path: Path) -> dict[str, Any]:
 
 
 def write_floats(path: Path, arrays: Iterable[NDArray[np.float32]], shape: tuple[int, ...]) -> None:
-    """Write one .npy file of float32 from arrays that come one after the other.
-
-    Raises:
-        ValueError: when they do not fill the shape.
-    """
+    """Write a .npy file of float32 from arrays that follow each other and must fill the shape."""
     header = {
         "descr": np.lib.format.dtype_to_descr(np.dtype("<f4")),
         "fortran_order": False,

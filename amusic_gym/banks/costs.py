@@ -40,11 +40,7 @@ def check_seconds(seconds: ArrayLike, techniques: Sequence[str]) -> NDArray[np.f
 
 
 def paper_seconds(techniques: Sequence[str]) -> NDArray[np.float64]:
-    """(T,) seconds of the paper's techniques.
-
-    Raises:
-        ValueError: for a technique that the paper does not time.
-    """
+    """(T,) seconds of the paper's techniques; refuses one that it does not time."""
     by_name = {name.casefold(): seconds for name, seconds in PAPER_SECONDS.items()}
     for name in techniques:
         if name.casefold() not in by_name:

@@ -315,11 +315,7 @@ def resolve_ground_truth(
 
 
 def check_tolerance(value: Any) -> int:
-    """A tolerance in places as int.
-
-    Raises:
-        ValueError: for anything but a whole number from 0 to ``LARGEST_TOLERANCE``.
-    """
+    """A tolerance in places as int; refuses what is none from 0 to ``LARGEST_TOLERANCE``."""
     if whole("tolerance", value, 0) > LARGEST_TOLERANCE:
         raise ValueError(f"tolerance is {value}; give at most {LARGEST_TOLERANCE} places")
     return int(value)

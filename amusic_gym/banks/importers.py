@@ -143,11 +143,8 @@ def from_recording(folder: _Path, techniques: Sequence[str] | None = None) -> Sc
     """A bank from a recording's folder: scores/NAME.npy, techniques.json, ground_truth.npy.
 
     ``techniques.json`` holds, per technique, ``encode_s`` and ``match_s``: seconds to encode a
-    frame and to match it with one reference.
-
-    Args:
-        folder: the recording.
-        techniques: which of them, in the bank's order; None: all, by name.
+    frame and to match it with one reference. ``techniques`` are those of the bank, in its order;
+    None: all, by name.
 
     Raises:
         FileNotFoundError: when a file is missing.

@@ -30,11 +30,7 @@ _ATTEMPTS = 3
 
 
 def default_cache() -> Path:
-    """``$XDG_CACHE_HOME/amusic-gym``, or ``~/.cache/amusic-gym``.
-
-    Raises:
-        ValueError: where this user has no home folder.
-    """
+    """``$XDG_CACHE_HOME/amusic-gym``, or ``~/.cache/amusic-gym``; refuses a user without a home."""
     given = os.environ.get("XDG_CACHE_HOME", "")
     try:
         base = Path(given) if os.path.isabs(given) else Path.home() / ".cache"

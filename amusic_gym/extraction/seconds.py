@@ -28,14 +28,10 @@ BLOCKS = 3  # blocks of the map that they are matched with; the time is scaled t
 
 
 class Cost(NamedTuple):
-    """Cost of a run.
+    """Cost of a run."""
 
-    Attributes:
-        seconds: the median.
-        spread: share of it by which the middle half of the runs of an image differ from its median.
-    """
-
-    seconds: float
+    seconds: float  # the median
+    # share of it by which the middle half of the runs of an image differ from its median
     spread: float
 
     def __str__(self) -> str:

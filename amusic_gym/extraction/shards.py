@@ -14,6 +14,7 @@ from amusic_gym.extraction.blocks import (
     Images,
     Stored,
     aligned,
+    array_of,
     check_shape,
     describe_one,
     describe_some,
@@ -40,18 +41,14 @@ class Held(Protocol):
 
 
 class Shard(Protocol):
-    """A piece of work: the same result in any process, in any order.
-
-    Attributes:
-        size: amount of work, for the progress bar.
-    """
+    """A piece of work: the same result in any process, in any order."""
 
     @property
-    def size(self) -> int: ...  # noqa: D102
+    def size(self) -> int:
+        """Amount of work, for the progress bar."""
 
     def run(self, held: Any, advance: Advance = nothing, /) -> Any:
         """The result, which pickles; ``advance`` is called with all of ``size``, bit by bit."""
-        ...
 
 
 S = TypeVar("S", bound=Shard)
@@ -161,11 +158,6 @@ class MatchShard:
                     raise _at(path, error) from error.__cause__ or error
                 advance(len(block))
         return scores
-
-
-def array_of(values: Stored | NDArray[np.float32]) -> NDArray[np.float32]:
-    """The array itself."""
-    return values.array() if isinstance(values, Stored) else values
 
 
 def _at(path: Path, error: ValueError) -> ValueError:

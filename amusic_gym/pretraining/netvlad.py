@@ -79,9 +79,6 @@ def contrast(queries: Tensor, references: Tensor, temperature: float) -> Tensor:
     return (F.cross_entropy(logits, partner) + F.cross_entropy(logits.T, partner)) / 2
 
 
-# ---- stage 1: points ------------------------------------------------------------------------
-
-
 def point_loss(
     network: NetVLADNetwork, pool: Pool, settings: Settings, rng: np.random.Generator
 ) -> Tensor:
@@ -128,9 +125,6 @@ def features_at(features: Tensor, points: NDArray[np.float32]) -> Tensor:
     return F.normalize(found.transpose(1, 2).flatten(0, 1), dim=1)
 
 
-# ---- visual words ---------------------------------------------------------------------------
-
-
 def set_words(network: NetVLADNetwork, pool: Pool, settings: Settings) -> None:
     """Visual words by k-means on local features of rendered images; sharpness of their shares."""
     rng = np.random.default_rng([settings.seed, 1])
@@ -155,9 +149,6 @@ def set_words(network: NetVLADNetwork, pool: Pool, settings: Settings) -> None:
         network.pool.assignment.weight.copy_(sharpness * centroids)
 
 
-# ---- stage 2: places ------------------------------------------------------------------------
-
-
 def place_loss(
     network: NetVLADNetwork, pool: Pool, settings: Settings, rng: np.random.Generator
 ) -> Tensor:
@@ -173,9 +164,6 @@ def place_loss(
             ]
     descriptors = network.aggregate(batch(queries + references, settings.preparation))
     return contrast(descriptors[: len(queries)], descriptors[len(queries) :], PLACE_TEMPERATURE)
-
-
-# ---- whitening ------------------------------------------------------------------------------
 
 
 def set_whitening(network: NetVLADNetwork, pool: Pool, settings: Settings) -> None:
@@ -197,9 +185,6 @@ def set_whitening(network: NetVLADNetwork, pool: Pool, settings: Settings) -> No
     with torch.no_grad():
         network.whitening.weight.copy_(torch.from_numpy(matrix))
         network.whitening.bias.copy_(torch.from_numpy(-matrix @ middle))
-
-
-# ---- all together ---------------------------------------------------------------------------
 
 
 def train(job: TrainingJob, settings: Settings) -> tuple[list[float], list[float]]:

@@ -113,9 +113,6 @@ def _render_world(images: NDArray[np.uint8], number: int, seed: int, bar: tqdm) 
             bar.update()
 
 
-# ---- collages -------------------------------------------------------------------------------
-
-
 def collage(rng: np.random.Generator) -> Image:
     """A random picture of overlapping shapes, (HEIGHT, WIDTH, 3).
 

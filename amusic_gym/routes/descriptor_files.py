@@ -53,11 +53,7 @@ def read_traverse(path: _Path, order: _Path | None = None) -> ImageFolder:
 
 
 def named(path: Path, names: Sequence[str]) -> ImageFolder:
-    """A traverse of which only the images' names are known.
-
-    Raises:
-        ValueError: when there is none, or one twice.
-    """
+    """A traverse of which only the names of the images are known, each once."""
     if not names or len(set(names)) < len(names):
         what = "names an image twice" if names else "names no image"
         raise ValueError(f"{path} {what}; give each image's name once")
@@ -155,11 +151,7 @@ def _lines(path: Path) -> list[str]:
 
 
 def _matched(images: ImageFolder, rows: Sequence[str], source: str) -> list[int]:
-    """The row of each image: by its path, also below a folder that only one side knows.
-
-    Raises:
-        ValueError: where an image has no row, or its name fits several.
-    """
+    """The row of each image: by its path, also below a folder that only one side knows."""
     names, whole = images.names, f"{images.path.absolute().as_posix()}/"
     for stems, below in product((False, True), repeat=2):
         wanted = [_stem(name) if stems else name for name in names]

@@ -331,8 +331,7 @@ def _take(
 def _repeats(files: Sequence[tuple[Path, int]]) -> tuple[tuple[int, int], ...]:
     """Runs of neighbouring files with the same bytes.
 
-    Two different photographs seldom have the same size as files, so hardly any file is opened; and
-    those of a kind that always has the same size differ within their first bytes.
+    Photographs seldom have the same size as files, so hardly any file is opened.
     """
     runs: list[tuple[int, int]] = []
     for at, ((path, size), (following, its_size)) in enumerate(pairwise(files)):

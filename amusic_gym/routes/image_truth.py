@@ -31,12 +31,6 @@ def by_index(
 ) -> GroundTruth:
     """Frame q is at place q, ± ``tolerance`` places; in joined folders, part by part.
 
-    Args:
-        reference: the map.
-        query: the run.
-        tolerance: places to either side.
-        exact: whether each part of the run must have as many images as that of the map.
-
     Raises:
         ValueError: when the folders are not joined of the same number of parts, or a part of the
             query holds more images than its part of the reference, or, with ``exact``, fewer.
@@ -92,11 +86,9 @@ class Places(Protocol):
     @property
     def path(self) -> Path:
         """Where it is, for messages."""
-        ...
 
     def __len__(self) -> int:
         """R."""
-        ...
 
 
 def by_position(

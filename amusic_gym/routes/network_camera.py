@@ -23,14 +23,8 @@ class NetworkCamera:
     """Frame source of a camera's address: a frame is the newest picture since the last one.
 
     A thread of its own reads, so that pictures do not wait while a technique runs, and opens the
-    address anew when it gives none.
-
-    Args:
-        url: the address, of a stream that FFmpeg reads: MJPEG over HTTP, or RTSP.
-
-    Attributes:
-        name: host and path; a password in the address is told nobody.
-        length: None; nobody knows.
+    address anew when it gives none. The address is of a stream that FFmpeg reads: MJPEG over HTTP,
+    or RTSP.
 
     Raises:
         ValueError: for an address of another kind.
@@ -38,13 +32,13 @@ class NetworkCamera:
     """
 
     random_access = False
-    length: int | None = None
+    length: int | None = None  # nobody knows
 
     def __init__(self, url: str) -> None:
         parts = urlsplit(url)
         if parts.scheme not in SCHEMES:
             raise ValueError(suggest("kind of address", parts.scheme, SCHEMES))
-        self.name = f"{parts.hostname}{parts.path}"
+        self.name = f"{parts.hostname}{parts.path}"  # a password in the address is told nobody
         self._url = url
         self._image: Image | None = None
         self._changed = threading.Condition()

@@ -93,11 +93,7 @@ def _by_folder(paths: Sequence[PurePath]) -> dict[PurePath, list[int]]:
 
 
 def _ordering(stems: Sequence[str]) -> list[str]:
-    """A text for each name of one folder, whose natural order is that of the frames.
-
-    Raises:
-        ValueError: with what is wrong.
-    """
+    """A text for each name of one folder, whose natural order is that of the frames."""
     if len(stems) < 2:
         return list(stems)
     if any(map(_is_position, stems)):

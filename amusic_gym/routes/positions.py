@@ -138,11 +138,7 @@ def in_a_plane(*tracks: Positions) -> list[NDArray[np.float64]]:
 
 
 def check_comparable(here: Positions, there: Positions) -> None:
-    """Refuse positions of different systems or UTM zones, and degrees that stand for metres.
-
-    Raises:
-        ValueError: naming both sources.
-    """
+    """Refuse positions of different systems or UTM zones, and degrees that stand for metres."""
     if here.system != there.system or here.metres.shape[1] != there.metres.shape[1]:
         raise ValueError(
             f"{here.source} gives {here.system}, {there.source} {there.system}: they cannot be"
@@ -159,11 +155,7 @@ def check_comparable(here: Positions, there: Positions) -> None:
 
 
 def from_names(folder: ImageFolder) -> Positions:
-    """Positions in names like @UTM_EAST@UTM_NORTH@ZONE@BAND@...; field 9 is the heading.
-
-    Raises:
-        ValueError: for a name without them.
-    """
+    """Positions in names like @UTM_EAST@UTM_NORTH@ZONE@BAND@...; field 9 is the heading."""
     positions = np.array([_numbers_in(path, (1, 2)) for path in folder.paths])
     headings = np.array([_numbers_in(path, (9,)) for path in folder.paths])[:, 0]
     for path, numbers in zip(folder.paths, positions, strict=True):

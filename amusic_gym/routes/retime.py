@@ -33,18 +33,11 @@ _BLOCK = 64  # rows that `save_retimed` holds in memory at a time
 def retimed_frames(
     queries: int, rng: np.random.Generator, motion: str = KIDNAPPED
 ) -> NDArray[np.int64]:
-    """Which frame of a recording the robot sees at each frame of its re-timed drive.
+    """(Q,) int64 frames in [0, Q) of a recording that the robot sees on its re-timed drive.
 
     ⌊p⌋ of `amusic_gym.routes.motion.walk` over the recording's frames, for as many frames as the
-    recording has; ``kidnapped`` is ``paced`` with jumps to any frame, each equally likely.
-
-    Args:
-        queries: Q, frames of the recording, at least 1.
-        rng: the only source of chance.
-        motion: ``paced`` or ``kidnapped``.
-
-    Returns:
-        (Q,) int64 frames in [0, Q); the first is 0.
+    recording has; ``kidnapped`` is ``paced`` with jumps to any frame, each equally likely. ``rng``
+    is the only source of chance. The first frame is 0.
 
     Raises:
         ValueError: for anything but a whole number of at least 1, or for another motion.

@@ -31,8 +31,7 @@ def is_bag(source: str | os.PathLike[str]) -> bool:
 def read_bag(source: str | os.PathLike[str]) -> Track:
     """Positions of a bag's topic, by the time stamps of their headers; those without fix are left.
 
-    Args:
-        source: the bag, and behind a colon the topic, where it has several with positions.
+    ``source`` is the bag, with the topic behind a colon where several have positions.
 
     Raises:
         FileNotFoundError: when there is no such bag.

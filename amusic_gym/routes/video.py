@@ -197,15 +197,7 @@ def _refuse_playlists(path: Path) -> None:
 
 
 class Camera:
-    """Frame source of a camera: a frame is what it sees at the moment of asking.
-
-    Args:
-        number: of the camera, from 0.
-
-    Attributes:
-        number: of the camera.
-        name: ``"camera 0"`` and so on.
-        length: None; nobody knows.
+    """Frame source of a camera, by its number from 0: a frame is what it sees when it is asked.
 
     Raises:
         ValueError: for a number that no camera can have.
@@ -213,7 +205,7 @@ class Camera:
     """
 
     random_access = False
-    length: int | None = None
+    length: int | None = None  # nobody knows
 
     def __init__(self, number: int) -> None:
         import cv2

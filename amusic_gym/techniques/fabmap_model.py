@@ -36,12 +36,9 @@ class ChowLiuTree:
 
     @classmethod
     def learn(cls, seen: Bools) -> ChowLiuTree:
-        """The tree of most mutual information (Chow and Liu 1968).
+        """The tree of most mutual information (Chow and Liu 1968) of words (N, V) that images show.
 
         Words without an edge of ``LEAST_INFORMATION`` are roots.
-
-        Args:
-            seen: (N, V) whether an image shows a word.
 
         Raises:
             ValueError: for no image or no word.
@@ -60,17 +57,11 @@ class ChowLiuTree:
         return cls(parent, p, np.where(roots, p, p1), np.where(roots, p, p0))
 
     def likelihood_terms(self, seen: Bools) -> tuple[Floats, float]:
-        """A query's log-likelihoods of places as a linear function of their words.
+        """A query's log-likelihoods of places as a linear function: (V,) weights and the constant.
 
         Each term of the likelihood depends on one word of the place, so that
         log P(z | L) = weights · L + constant exactly. FAB-MAP 2's inverted index is the same less
         the constant.
-
-        Args:
-            seen: (V,) the query's words.
-
-        Returns:
-            (V,) weights and the constant.
         """
         there, not_there = self._observation(seen)
         unseen_place = (1 - P_SEEN) * self.p

@@ -19,13 +19,9 @@ Floats = NDArray[np.float64]
 
 
 class _GIST(Technique):
-    """What both forms of GIST share.
+    """What both forms of GIST share."""
 
-    Attributes:
-        orientations: filters of each scale, fine to coarse.
-    """
-
-    orientations: tuple[int, ...]
+    orientations: tuple[int, ...]  # filters of each scale, fine to coarse
 
     def parameters(self) -> Parameters:
         """Grid, prefilter and orientations."""

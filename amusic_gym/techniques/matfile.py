@@ -38,12 +38,9 @@ def read_matfile(data: bytes, most: int) -> dict[str, Any]:
 
     A structure or a cell of one item is the item. What else there is, is None.
 
-    Args:
-        data: the file.
-        most: bytes that its contents may have.
-
     Raises:
-        ValueError: when the bytes are no such file, `TooLargeError` for too many.
+        ValueError: when the bytes are no such file; `TooLargeError` for contents of more than
+            ``most`` bytes.
     """
     if data[126:HEADER] not in (b"IM", b"MI"):
         raise ValueError("no MATLAB file of level 5")

@@ -20,11 +20,7 @@ INTERPOLATIONS = ("bilinear", "bicubic")
 
 @dataclass(frozen=True)
 class NetworkInput:
-    """Size and colours of a network's input.
-
-    Raises:
-        ValueError: for values that make no input.
-    """
+    """Size and colours of a network's input; refuses values that make none."""
 
     height: int  # pixels
     width: int  # pixels
@@ -38,7 +34,6 @@ class NetworkInput:
     deviation: Triple = Preparation.deviation  # of red, green and blue in 0–255; divides
 
     def __post_init__(self) -> None:
-        """Refuse what makes no input."""
         Preparation(self.width, self.height, self.mean, self.deviation)  # checks these
         whole("multiple", self.multiple, 1, most=WIDEST)
         if self.resize not in RESIZE:

@@ -29,25 +29,17 @@ Triple = tuple[float, float, float]
 class Preparation:
     """How NetVLAD's input is made from an image; it belongs to the weights.
 
-    Attributes:
-        width: pixels of the network's input.
-        height: likewise.
-        mean: of red, green and blue in 0–255; is subtracted.
-        deviation: of red, green and blue in 0–255; divides. 1 where the weights expect that.
-        interpolation: ``"cubic"``, ``"linear"`` or ``"area"``.
-
     Raises:
         ValueError: for values that make no image.
     """
 
-    width: int = 160
-    height: int = 120
-    mean: Triple = (123.675, 116.28, 103.53)  # ImageNet's, as is the deviation
-    deviation: Triple = (58.395, 57.12, 57.375)
-    interpolation: str = "area"
+    width: int = 160  # pixels of the network's input
+    height: int = 120  # likewise
+    mean: Triple = (123.675, 116.28, 103.53)  # of red, green and blue in 0–255; is subtracted
+    deviation: Triple = (58.395, 57.12, 57.375)  # divides; both are ImageNet's
+    interpolation: str = "area"  # one of `INTERPOLATIONS`
 
     def __post_init__(self) -> None:
-        """Refuse what makes no image."""
         for name in ("width", "height"):
             whole(name, getattr(self, name), 1, most=WIDEST)
         for name in ("mean", "deviation"):
@@ -84,11 +76,7 @@ def prepare_calc(image: Image) -> NDArray[np.float32]:
 
 
 def check_image(image: Image) -> None:
-    """Refuse an array that is no image.
-
-    Raises:
-        ValueError: for another shape or type than (height, width, 3) uint8.
-    """
+    """Refuse an array that is no image: of another shape or type than (height, width, 3) uint8."""
     shape, dtype = np.shape(image), getattr(image, "dtype", type(image).__name__)
     if len(shape) != 3 or shape[2] != 3 or 0 in shape or dtype != np.uint8:
         raise ValueError(

@@ -60,14 +60,10 @@ class RMAC:
 
     @classmethod
     def of(cls, channels: int, *, levels: int, whole: bool, whitening: str) -> RMAC:
-        """The pooling that a technique's settings describe.
+        """The pooling of maps with D ``channels`` that a technique's settings describe.
 
-        Args:
-            channels: D, of the feature maps.
-            levels: as the attribute.
-            whole: as the attribute.
-            whitening: a weights file with ``mean`` (D,) and ``projection`` (D, k), learned on
-                images of other places: on the map's own it hurts; or nothing.
+        ``whitening`` is nothing, or a weights file with ``mean`` (D,) and ``projection`` (D, k),
+        learned on images of other places: on the map's own it hurts.
 
         Raises:
             FileNotFoundError: when there is no such file.

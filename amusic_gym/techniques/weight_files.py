@@ -108,12 +108,9 @@ class WeightFile:
         )
 
     def layer(self, technique: str, name: str, *shape: int | None) -> NDArray[np.float32]:
-        """One layer's array as float32.
+        """One layer's array as float32, of the given shape; None in it: as the file has it.
 
-        Args:
-            technique: whose layer it is, for the refusal.
-            name: the array.
-            shape: the expected shape; None for a size that the file decides.
+        ``technique`` is whose layer it is, for the refusal.
 
         Raises:
             ValueError: naming the layer that is missing, of another shape, or not finite.

@@ -12,14 +12,8 @@ from typing import Any
 def optional(module: str, whose: str, package: str, part: str) -> Any:
     """A module of a package that may not be installed.
 
-    Args:
-        module: its name.
-        whose: what needs it, for the refusal.
-        package: what the refusal calls it.
-        part: of this package, that brings it.
-
-    Raises:
-        ValueError: where it is not installed, with the command.
+    The refusal, a ValueError, says ``whose`` need it is, what the ``package`` is called, and the
+    command that installs the ``part`` of this package with it.
     """
     try:
         return importlib.import_module(module)

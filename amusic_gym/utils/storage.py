@@ -139,11 +139,7 @@ def replacing_folder(path: Path, marker: str, contents: frozenset[str]) -> Itera
 
 
 def refuse_to_replace_others(path: Path, marker: str, contents: frozenset[str]) -> None:
-    """Refuse what :func:`replacing_folder` would refuse: anything but its own kind of folder.
-
-    Raises:
-        ValueError: when ``path`` is something that must not be replaced.
-    """
+    """Refuse what :func:`replacing_folder` would refuse: anything but its own kind of folder."""
     try:
         found = {entry.name for entry in path.iterdir()}
     except FileNotFoundError:  # perhaps while another writer exchanges it
@@ -326,10 +322,9 @@ def _sweep_exchange(path: Path) -> None:
 
 
 def _restore_folder(path: Path) -> None:
-    """Put the old folder back if a writer died while it exchanged ``path`` by two renames.
+    """Put the old folder back if a writer died between its two renames of ``path``.
 
-    Needed only where the system cannot swap two folders in one step; the lock of the folder that
-    holds both must be held.
+    The lock of the folder that holds both must be held.
     """
     if not path.exists():
         for aside in _asides(path):

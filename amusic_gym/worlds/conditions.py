@@ -76,11 +76,7 @@ NAMES: tuple[str, ...] = (*CONDITIONS, STRETCHES)
 
 
 def parts_of(condition: str) -> tuple[str, ...]:
-    """The registered names that ``condition`` joins with "+".
-
-    Raises:
-        ValueError: for a name that is not registered.
-    """
+    """The registered names that ``condition`` joins with "+"; refuses others."""
     names = tuple(condition.split("+")) if isinstance(condition, str) else (condition,)
     for name in names:
         if name not in NAMES:

@@ -149,11 +149,7 @@ def _place(path: Path, data: bytes) -> None:
 
 
 def _refuse_others(folder: Path, settings: Settings) -> None:
-    """Never mix images: go on only in an empty folder or one of the same settings.
-
-    Raises:
-        ValueError: otherwise.
-    """
+    """Never mix images: go on only in an empty folder or one of the same settings."""
     if not folder.exists():
         return
     if not folder.is_dir():

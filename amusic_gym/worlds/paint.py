@@ -17,11 +17,7 @@ TEXELS = 26  # texels per metre of walls and things
 class Paint:
     """Colour, alpha and glow of a surface, ``width`` x ``height`` metres, y from the ground up.
 
-    Args:
-        width: metres.
-        height: metres.
-        colour: of the whole surface; None begins transparent.
-        texels: texels per metre.
+    Without a ``colour`` it begins transparent; there are so many ``texels`` per metre.
     """
 
     def __init__(

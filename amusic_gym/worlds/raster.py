@@ -103,9 +103,9 @@ def _screen_box(
 
 @inner
 def _invert(corner: Vector, along: Vector, up: Vector, lens: Lens, out: Vector) -> bool:
-    """From screen to texture: (x, y, 1) = M (a, b, 1) / depth, so M^-1 gives (a, b, 1) / depth.
+    """From screen to texture: (x, y, 1) = M (a, b, 1) / depth; ``out`` takes M^-1, row by row.
 
-    ``out`` takes the nine numbers of M^-1, row by row. False when the plane is seen edge-on.
+    False when the plane is seen edge-on.
     """
     focal, centre_x, centre_y = lens
     az, bz, cz = along[2], up[2], corner[2]

@@ -14,14 +14,9 @@ RISE = 512  # rows: from 45 degrees above the horizon down to it
 
 
 def clouds(seed: int, run: int, cover: float, zenith: Floats, horizon: Floats) -> Floats:
-    """(512, 1024, 3) sky of one drive, a quarter as wide as a panorama.
+    """(512, 1024, 3) sky of one drive, a quarter as wide as a panorama, with clouds of its own.
 
-    Args:
-        seed: of the world.
-        run: number of the drive: each has clouds of its own.
-        cover: 0 clear to 1 overcast.
-        zenith: colour above.
-        horizon: colour at the horizon.
+    ``cover`` is 0 for clear to 1 for overcast.
     """
     rng = generator(seed, "sky", run)
     field = fractal(1.35, int(rng.integers(4)))

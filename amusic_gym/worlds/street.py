@@ -242,9 +242,6 @@ def furniture(block: Block, rng: Generator, side: int, zone: str) -> None:
             tree(block, rng, side * (ROAD + 0.8), s, 4, 7)
 
 
-# ---- what does not stay ---------------------------------------------------------------------
-
-
 def car(block: Block, number: int, x: float, s: float) -> None:
     """A car along the kerb or on the road, as a box of two sides and a rear."""
     left, right, high = x - 0.88, x + 0.88, 1.5

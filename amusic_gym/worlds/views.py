@@ -82,11 +82,7 @@ def traverse(
 
 
 def check_size(size: tuple[int, int]) -> tuple[int, int]:
-    """(columns, rows) within bounds.
-
-    Raises:
-        ValueError: otherwise.
-    """
+    """(columns, rows) within bounds; refuses others."""
     try:
         columns, rows = size
     except (TypeError, ValueError):
@@ -98,11 +94,7 @@ def check_size(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def check_places(places: int) -> int:
-    """A number of places within bounds.
-
-    Raises:
-        ValueError: otherwise.
-    """
+    """A number of places within bounds; refuses others."""
     places = whole("places", places, 1)
     if places > MOST:
         raise ValueError(f"places is {places}; give at most {MOST}")

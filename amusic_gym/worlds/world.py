@@ -33,11 +33,7 @@ Kept = TypeVar("Kept")
 
 
 class Store:
-    """The last things that were made, by name, each as long as it is used.
-
-    Args:
-        limit: how many are kept.
-    """
+    """The last things that were made, ``limit`` of them, by name, each as long as it is used."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
