@@ -1,7 +1,5 @@
 """The native vector environment as Stable-Baselines3 wants it."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from typing import Any

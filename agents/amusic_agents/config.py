@@ -3,8 +3,6 @@
 Nothing here loads PyTorch, so that a command line can name the settings at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Judging a selector on routes that no training sees."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 

@@ -5,8 +5,6 @@ online learning", AISTATS 2011. Here a route is driven by one of the two from it
 end, because SIC profits from techniques that run many frames in a row.
 """
 
-from __future__ import annotations
-
 import json
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """What several algorithms share: the environment to learn in, and fitting a network."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

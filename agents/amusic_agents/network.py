@@ -4,8 +4,6 @@ Each technique's group of the observation, joined with the route's group, goes t
 the encodings are pooled over the techniques that are present.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar

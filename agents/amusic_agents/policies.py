@@ -1,7 +1,5 @@
 """Trained selectors as registered policies, ``ppo`` and its kin; PyTorch loads with the first."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from amusic_agents.shipped import PRETRAINED, SHIPPED, shipped

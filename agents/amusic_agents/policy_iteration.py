@@ -11,8 +11,6 @@ A policy gradient does not find this by itself: a good technique that runs alone
 beside those that mislead does not, so that every small step towards it costs more than it gives.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import signal
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Training by Stable-Baselines3's PPO: a bit per technique, or when to select again."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial

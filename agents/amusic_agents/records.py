@@ -1,7 +1,5 @@
 """What a training leaves in its run folder: evaluations, the best selector, checkpoints."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

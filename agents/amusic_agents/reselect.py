@@ -5,8 +5,6 @@ decision, at every frame, takes the place of its t-test. As in the paper, all te
 first M frames, then comes a selection; the selected techniques run until the next.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -13,8 +13,6 @@ Layout of a run folder::
 No file of another program is loaded, above all no zip of Stable-Baselines3: those hold pickles.
 """
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The selectors that ship: which there are, without loading PyTorch."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from amusic_gym.estimation.settings import STATISTICS, SICSettings

@@ -4,8 +4,6 @@ The rating of a subset depends on the sum of its techniques' encodings, so that 
 on their order, and the same weights serve any number of techniques.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The trainings of a search: pieces of work for executors, one per trial and seed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

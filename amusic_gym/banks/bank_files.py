@@ -1,7 +1,5 @@
 """A score bank's folder: ``scores.npy``, ``ground_truth.npz`` and ``bank.json``."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

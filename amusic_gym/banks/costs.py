@@ -1,7 +1,5 @@
 """What a run of a technique costs: checked seconds, and the models to reckon with."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Names and scores of techniques, checked."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, TypeVar
 

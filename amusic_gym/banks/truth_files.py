@@ -1,7 +1,5 @@
 """Ground truth in files: NumPy's, VPR-Bench's, or text."""
 
-from __future__ import annotations
-
 import csv
 import os
 import re

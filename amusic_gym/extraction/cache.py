@@ -5,8 +5,6 @@ key and of the ``.npy`` file, so an entry that is cut off, changed or under a wr
 It is compared the first time that a run uses the entry.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import os

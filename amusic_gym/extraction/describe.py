@@ -1,7 +1,5 @@
 """The descriptors and scores of one technique, from the cache or computed."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Iterable, Iterator, Sequence

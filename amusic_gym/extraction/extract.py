@@ -1,7 +1,5 @@
 """Two image folders and some techniques to a score bank."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 import time

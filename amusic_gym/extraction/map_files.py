@@ -1,7 +1,5 @@
 """A described map's folder: ``map.json``, descriptors, thumbnails and positions."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence

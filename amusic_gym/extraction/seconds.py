@@ -1,7 +1,5 @@
 """The cost of one run of a technique on this machine."""
 
-from __future__ import annotations
-
 import os
 import platform
 import time

@@ -1,7 +1,5 @@
 """Shards, pieces of work of an extraction, a study or a search, and what runs them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path

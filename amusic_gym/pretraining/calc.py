@@ -9,8 +9,6 @@ layer instead of three, so that the descriptor itself, which is compared by its 
 HOG; Adam instead of plain descent.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 
 import cv2

@@ -4,8 +4,6 @@ Real traverses are each recorded by one camera in one light: what a traverse's i
 :class:`RandomCamera`, drawn once per traverse. What changes from frame to frame is drawn per image.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

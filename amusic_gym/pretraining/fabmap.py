@@ -1,7 +1,5 @@
 """Training of FAB-MAP's vocabulary and Chow-Liu tree on images of the user's."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

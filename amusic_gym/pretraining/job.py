@@ -1,7 +1,5 @@
 """A training as a job: its options, its images, its validation, and what it says of itself."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import json

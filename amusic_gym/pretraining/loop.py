@@ -1,7 +1,5 @@
 """A training that shows how far it is, can be stopped, and goes on with the same bits."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

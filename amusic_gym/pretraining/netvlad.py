@@ -12,8 +12,6 @@ here
 3. the whitening is fitted on rendered images.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, field, replace
 
 import cv2

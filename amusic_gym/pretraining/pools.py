@@ -1,7 +1,5 @@
 """Images to learn from: rendered worlds under several conditions, and random collages."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path

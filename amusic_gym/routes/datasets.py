@@ -4,8 +4,6 @@ None of them is downloaded: docs/datasets.md says where each is to be had and ho
 Another one is one more entry in ``DATASETS``.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

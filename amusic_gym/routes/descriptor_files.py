@@ -3,8 +3,6 @@
 Which layouts are read, and what each says of the order of its rows, is in docs/datasets.md.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from itertools import product

@@ -5,8 +5,6 @@ and any decoder first allocates what the header asks for. So both are looked at 
 alone, in the time of a look-up.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Callable

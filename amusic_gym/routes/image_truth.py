@@ -6,8 +6,6 @@ and the first of the next are neighbours in the list only. Where images were lef
 (`ImageFolder.without`), the others count with the numbers that they had before.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import warnings

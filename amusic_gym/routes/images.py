@@ -8,8 +8,6 @@ the upper eight of the twelve. In a PNM the header's maximum counts, and becomes
 OpenCV's.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import struct

@@ -1,7 +1,5 @@
 """Frames from a camera on the network, which is opened anew whenever it stops."""
 
-from __future__ import annotations
-
 import threading
 import time
 import warnings

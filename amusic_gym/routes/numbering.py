@@ -1,7 +1,5 @@
 """File names of a traverse: their order, and numbers that are missing or used twice."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections import Counter, defaultdict

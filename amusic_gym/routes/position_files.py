@@ -1,7 +1,5 @@
 """Positions of images from files: CSV, EXIF, the pose files of TUM and KITTI, and ROS bags."""
 
-from __future__ import annotations
-
 import csv
 import math
 import os

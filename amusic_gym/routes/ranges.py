@@ -1,7 +1,5 @@
 """Ranges of the simulator: drawing from them, and refusing bad ones in a sentence."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

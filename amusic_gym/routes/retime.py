@@ -6,8 +6,6 @@ recording, taken in the order in which a robot that moves otherwise would have s
 at one place never give the very same scores, so every row gets a little noise of its own.
 """
 
-from __future__ import annotations
-
 import os
 import zlib
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Positions in ROS bags, of ROS 1 and 2 (MCAP or SQLite), by the optional package rosbags."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The model of a simulated route: the drive, the conditions, repeated and bland places, decoys."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

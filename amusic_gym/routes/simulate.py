@@ -13,8 +13,6 @@ A score is the cosine of the two, bent and scaled so that techniques have ranges
 `docs/simulation.md` compares the outcome with real recordings.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, fields, replace
 from math import inf

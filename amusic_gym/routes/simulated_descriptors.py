@@ -1,7 +1,5 @@
 """Descriptors of a simulated route's places and frames, and the scores of one technique."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Statistics of a score matrix, to compare simulated routes with real recordings."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

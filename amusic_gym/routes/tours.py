@@ -8,8 +8,6 @@ Nothing is decoded before it is asked for, and a condition is applied when its i
 tour takes no more memory than its file names.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Positions as a file lists them, and those of images and frames between them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Frames from video files and cameras, and videos written whole."""
 
-from __future__ import annotations
-
 import math
 import os
 import time

@@ -5,8 +5,6 @@ Adding one: a file with its class, one line in ``TECHNIQUES``, one test. From ou
 named.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import importlib.util

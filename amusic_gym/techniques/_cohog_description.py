@@ -1,7 +1,5 @@
 """The loops over pixels of CoHOG's description, compiled."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -11,8 +11,6 @@ which stay in the processor's nearest memory. 61 such walks, one per distance be
 visit all pairs of rows of regions.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """AMOSNet and HybridNet: networks that learned to tell places apart (Chen et al. 2017)."""
 
-from __future__ import annotations
-
 import hashlib
 from functools import partial
 from pathlib import Path

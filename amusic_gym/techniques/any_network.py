@@ -3,8 +3,6 @@
 What the file does not say stands in a :mod:`recipe <amusic_gym.techniques.recipe>` beside it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import io

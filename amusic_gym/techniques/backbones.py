@@ -10,8 +10,6 @@ torchvision's ``vgg16-….pth``
 ==========================================  =======================  ==========================
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 

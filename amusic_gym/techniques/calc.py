@@ -1,7 +1,5 @@
 """CALC: a convolutional auto-encoder that learned to give HOG from warped images (Merrill 2018)."""
 
-from __future__ import annotations
-
 import warnings
 from functools import partial
 from pathlib import Path

@@ -5,8 +5,6 @@ neighbours to the right and below: 31×31 = 961 regions that overlap. A region's
 cells' histograms of 8 directions, scaled to length 1.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

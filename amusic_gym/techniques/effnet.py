@@ -4,8 +4,6 @@ The weights are an optional part: a package of the registry that holds nothing e
 without being imported, so no code of it runs.
 """
 
-from __future__ import annotations
-
 import importlib.util
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """FAB-MAP: which words places show, and how probable that makes them (Cummins and Newman 2008)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """GIST: energies of Gabor filters on a coarse grid (Oliva and Torralba, 2001)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """HOG: histograms of gradient directions over the whole image (Dalal and Triggs, 2005)."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -4,8 +4,6 @@ SciPy's reader trusts a file's sizes, and a damaged one can end the process. Her
 what holds no weights (texts, whole numbers, sparse matrices, objects) is skipped.
 """
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections.abc import Iterator

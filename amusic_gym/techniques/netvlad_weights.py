@@ -17,8 +17,6 @@ deep-vg-benchmark, OpenVPRLab     ``aggregation`` (or ``aggregation.0``, with kÂ
 The whitening's columns are in the family's order, so an order goes with its whitening only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial

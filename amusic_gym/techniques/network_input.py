@@ -1,7 +1,5 @@
 """Input of a network that was trained with torchvision's transforms."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Preparation of an image for a network."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -15,8 +15,6 @@ They are float32 or float16 (and are used as float32). The metadata has one entr
 - NetVLAD's ``widths`` and ``preparation``: the fields of ``NetVLADWidths`` and ``Preparation``.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Readers of weights files, one per kind: bytes to arrays and texts. None executes anything."""
 
-from __future__ import annotations
-
 import io
 import json
 import pickle

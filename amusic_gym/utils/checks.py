@@ -1,7 +1,5 @@
 """Checks of arguments that several parts share; each refuses, by a ValueError, with a mend."""
 
-from __future__ import annotations
-
 import math
 import numbers
 

@@ -3,8 +3,6 @@
 What a technique imports must stand in its file as an import: it is part of the key of the cache.
 """
 
-from __future__ import annotations
-
 import importlib
 from typing import Any
 

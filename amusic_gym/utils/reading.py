@@ -1,7 +1,5 @@
 """Reading files with plain refusals: of what is no regular file, too large, or damaged."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import json

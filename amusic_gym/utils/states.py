@@ -1,7 +1,5 @@
 """The changing part of objects as plain data: numbers, texts, arrays; never a pickle."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections import deque

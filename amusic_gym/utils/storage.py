@@ -4,8 +4,6 @@ Whatever is written has a hidden name, ``.amusic-….tmp``, and a lock until it 
 such a name and no lock is what a killed writer left; the next writer in its folder removes it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import errno

@@ -1,7 +1,5 @@
 """The camera: where it is in a frame, and how it sees."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Under which conditions a route is driven: what each changes, one entry each."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """One frame: the camera, the order of drawing, the light and the lens."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """Houses: fronts of many materials with windows, doors, shops, signs and wear; sides and roofs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -1,7 +1,5 @@
 """Rendered traverses as folders of images that grow safely and can be finished later."""
 
-from __future__ import annotations
-
 import json
 import os
 import zlib

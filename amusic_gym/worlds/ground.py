@@ -1,7 +1,5 @@
 """Maps of the ground (and of ceilings) seen from above, one block of the route at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Random numbers by name, and fractal fields from which all materials are made."""
 
-from __future__ import annotations
-
 import zlib
 from functools import lru_cache
 

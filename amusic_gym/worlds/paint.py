@@ -1,7 +1,5 @@
 """A texture while it is being painted, in metres."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2

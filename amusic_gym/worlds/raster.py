@@ -5,8 +5,6 @@ and glow, how much of that the surface sends out by itself (0-255). Beside it st
 depth (H, W) float32 in 1/metre, 0 at infinity. Camera axes: x right, y up, z ahead, in metres.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

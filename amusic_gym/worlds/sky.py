@@ -1,7 +1,5 @@
 """What stands at infinity: clouds and the skyline, as panoramas."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Streets: terraces, shops, suburbs, parks, offices and works along a road, and its traffic."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

@@ -1,7 +1,5 @@
 """All textures by name, and their halved copies, so that far things neither flicker nor alias."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import cv2

@@ -1,7 +1,5 @@
 """Frames and traverses of a world: what one calls."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from amusic_gym.utils.checks import number, whole

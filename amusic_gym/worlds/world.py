@@ -1,7 +1,5 @@
 """A route: its path, its blocks and all that is kept between frames."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Callable
 from functools import partial
