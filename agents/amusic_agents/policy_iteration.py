@@ -260,13 +260,9 @@ def collect(
     settings: RolloutConfig,
     rng: np.random.Generator,
 ) -> Samples:
-    """Drive, and try subsets by rollouts on every so many frames.
+    """Drive, and try subsets by rollouts on every so many frames; ``env`` has SAME_STEP autoreset.
 
-    Args:
-        env: the routes; with SAME_STEP autoreset.
-        policy: the policy so far; None at first: then a subset runs to the end of its rollout.
-        settings: how many subsets and frames.
-        rng: of all that is drawn.
+    ``policy`` is the policy so far; None at first: then a subset runs to the end of its rollout.
     """
     slots = env.task.slots
     observation, info = env.reset(seed=int(rng.integers(2**31)))
@@ -299,13 +295,9 @@ def roll_out(
     policy: SubsetSelector | None,
     settings: RolloutConfig,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """What each subset leads to, from where the routes are.
+    """What each subset (N, B, S) leads to, from where the N routes of ``task`` are and stay.
 
-    Args:
-        task: N routes; they stay as they are.
-        subsets: (N, B, S) to run at first.
-        policy: goes on after ``settings.hold`` frames; None: the subset does.
-        settings: frames and discount.
+    After ``settings.hold`` frames the policy goes on; None: the subset does.
 
     Returns:
         (N, B) discounted means per frame of the horizon of the reward without compute, and of the

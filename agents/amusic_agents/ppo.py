@@ -33,11 +33,7 @@ from amusic_gym.estimation.settings import BLOCK
 class NetworkPolicy(ActorCriticPolicy):
     """Actor-critic policy around a network that gives the logits itself.
 
-    Args:
-        arguments: of the base class.
-        make_network: makes the network; it gives logits and the critic's features, of length
-            ``latent_dim_vf``.
-        keywords: of the base class.
+    ``make_network`` makes it; it gives logits and the critic's features, ``latent_dim_vf`` long.
     """
 
     def __init__(
@@ -59,13 +55,8 @@ class NetworkPolicy(ActorCriticPolicy):
 class PPOLearner(BaseCallback):
     """PPO with a bit per technique; evaluates, writes checkpoints, logs the reward's terms.
 
-    Args:
-        config: how.
-        source: routes to drive on.
-        records: of the run folder.
-        start: run folder of an imitation whose weights PPO begins from; they are evaluated first,
-            and so stay the best until others are better.
-        callbacks: further ones, called after this one.
+    With ``start``, the run folder of an imitation, PPO begins from its weights; they are evaluated
+    first, and so stay the best until others are better. ``callbacks`` are called after this one.
     """
 
     kind: type[NetworkSelector] = TrainedSelector
@@ -274,11 +265,7 @@ class ReselectLearner(PPOLearner):
 
 
 class ReselectVectorEnv(TechniqueSelectionVectorEnv):
-    """The environment to learn in, with one bit, `Discrete(2)`: whether to select again.
-
-    Args:
-        arguments: the environment's; ``reselection`` among them.
-    """
+    """The environment to learn in, with one bit, `Discrete(2)`: whether to select again."""
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)

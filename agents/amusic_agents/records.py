@@ -37,13 +37,7 @@ class Records:
 
     The checkpoint holds the evaluations and the best selector too, and is written first: when a
     training that was killed between two files is resumed, all of them are again of one moment.
-
-    Args:
-        out: the run folder.
-        config: the training's configuration.
-        banks: folders of the banks, for ``config.json``.
-        kind: of the selector that is trained.
-        evaluated: called with every evaluation once it is kept, those before a resume first.
+    ``evaluated`` is called with every evaluation once it is kept, those before a resume first.
     """
 
     def __init__(

@@ -104,11 +104,8 @@ def stored(
 ) -> dict[str, Any]:
     """What ``config.json`` holds.
 
-    Args:
-        config: the configuration.
-        banks: folders of the banks that it trains on, None for one in memory; empty: simulated
-            routes.
-        best: evaluation of the stored selector.
+    ``banks`` are folders of the banks that it trains on, None for one in memory; none: simulated
+    routes. ``best`` is the evaluation of the stored selector.
     """
     return {
         "versions": versions(config.statistic),

@@ -78,9 +78,7 @@ SPACES: dict[str, Space] = {
 class Study:
     """A study in its folder, new or as it was left.
 
-    Args:
-        out: the study folder.
-        about: settings, space, banks and seeds of a new study, as JSON has them; None: as stored.
+    ``about`` are settings, space, banks and seeds of a new one, as JSON has them; None: as stored.
 
     Raises:
         ValueError: if Optuna is missing, the folder holds another study or none, or is damaged.

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 
 __all__ = ["GroundTruth", "ScoreBank"]
+
 _preparing = threading.Lock()  # threads that share a bank share what is prepared of it, too
 
 

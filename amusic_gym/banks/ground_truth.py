@@ -74,10 +74,7 @@ class GroundTruth:
     def from_places(cls, centres: ArrayLike, tolerance: int, references: int) -> GroundTruth:
         """Ground truth from one place per query, ± ``tolerance`` places, cut off at the map's ends.
 
-        Args:
-            centres: (Q,) integers in [0, R), or -1 for a query without a true place.
-            tolerance: places to either side that count as right.
-            references: R, places on the map.
+        ``centres`` (Q,) are in [0, R), or -1 for a query without a true place.
         """
         middle = _integers(centres, "ground truth")
         _check_range(middle, -1, references, "true place")
@@ -94,9 +91,7 @@ class GroundTruth:
     def widened(self, tolerance: int, parts: Sequence[int] = ()) -> GroundTruth:
         """The same, and ``tolerance`` places to either side of each true one, on its own part.
 
-        Args:
-            tolerance: places.
-            parts: lengths of the parts that the map is joined of; by default it is one.
+        ``parts`` are the lengths of those that the map is joined of; by default it is one.
         """
         reach = min(check_tolerance(tolerance), self.references)
         ends = np.cumsum(parts or [self.references])
@@ -141,11 +136,9 @@ class GroundTruth:
         return self.places[self.indptr[query] : self.indptr[query + 1]]
 
     def correct(self, predictions: ArrayLike, frames: ArrayLike | None = None) -> NDArray[np.bool_]:
-        """Whether each predicted place is a true one, (n,); -1 (no prediction) never is.
+        """Whether each predicted place (n,) is a true one; −1 (no prediction) never is.
 
-        Args:
-            predictions: (n,) places in [0, R), or -1.
-            frames: (n,) the query frame of each; None: one prediction for every frame in order.
+        ``frames`` (n,) are the query frame of each; None: one prediction for every frame in order.
         """
         places, queries = self._pairs(predictions, frames)
         if not len(self._keys):
@@ -164,14 +157,9 @@ class GroundTruth:
     def distance(
         self, predictions: ArrayLike, frames: ArrayLike | None = None
     ) -> NDArray[np.float64]:
-        """Places from each prediction to the nearest true place.
+        """(n,) float64 places from each prediction to the nearest true one; arguments of `correct`.
 
-        Args:
-            predictions: (n,) places in [0, R), or -1.
-            frames: (n,) the query frame of each; None: one prediction for every frame in order.
-
-        Returns:
-            (n,) float64: R where there is no prediction; nan where the query has no true place.
+        R where there is no prediction; nan where the query has no true place.
         """
         places, queries = self._pairs(predictions, frames)
         result = np.full(len(places), np.nan)

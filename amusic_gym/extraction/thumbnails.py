@@ -20,10 +20,7 @@ _QUALITY = 85
 class Thumbnails:
     """Images of R places, decoded when they are asked for.
 
-    Args:
-        path: of the map, for messages.
-        data: (N,) uint8 of all.
-        ends: (R,) where each ends.
+    All their ``data`` (N,) uint8 follow each other; ``ends`` (R,) tells where each ends.
     """
 
     def __init__(

@@ -55,15 +55,9 @@ class Training:
     All that a step draws comes from a generator of its own, seeded with the training's seed and
     the step's number, so a training that was stopped and resumed gives the same bits.
 
-    Args:
-        network: what is trained, on one thread.
-        job: where the checkpoint lies.
-        stage: name of the checkpoint.
-        settings: all that the result depends on, by name, in numbers and texts, ``seed`` among
-            them; stored, and compared when resuming.
-        steps: how many.
-        rate: highest learning rate.
-        needed: whether resuming needs a checkpoint of this stage.
+    All that the result depends on, ``seed`` among it, stands in ``settings``, which are stored, and
+    compared when resuming. ``rate`` is the highest learning rate; ``needed`` says whether resuming
+    needs a checkpoint of this stage.
 
     Raises:
         FileNotFoundError: if there is no checkpoint to resume from.

@@ -22,7 +22,6 @@ from amusic_gym.routes.motion import JUMP, KIDNAPPED, PACED, walk
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import suggest
 
-__all__ = ["RETIMINGS", "retime", "retimed_frames", "retimed_truth", "save_retimed"]
 RETIMINGS = (PACED, KIDNAPPED)  # motions that a recording can be re-timed by; see `routes.motion`
 NOISE = 0.1  # standard deviation of the noise on a row, as a share of the row's own
 _BLOCK = 64  # rows that `save_retimed` holds in memory at a time

@@ -143,11 +143,6 @@ class Simulation:
                 "motion='paced'."
             )
 
-    @property
-    def most_techniques(self) -> int:
-        """Largest number of techniques that a route may have."""
-        return self.techniques[1]
-
     def route(self, rng: np.random.Generator, *, name: str = "simulated") -> ScoreBank:
         """Draw one route: a bank of (T, Q, R) scores that depends on `rng` alone."""
         queries = draw_integer(rng, self.queries)

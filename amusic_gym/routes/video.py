@@ -42,7 +42,6 @@ class VideoFile:
         fps: take so many frames per second of the video, by their time stamps; None: all.
 
     Attributes:
-        path: the file.
         name: the file's name without its suffix.
         length: number of frames that are taken, None while it is not known.
         number: of the last frame that was read, among all in the file; -1 before the first.

@@ -103,13 +103,10 @@ def prefiltered(channels: Floats) -> Floats:
 def energies(
     channels: Floats, orientations: tuple[int, ...], *, blocks: int = BLOCKS, pad: int = 0
 ) -> Descriptor:
-    """Mean responses of Gabor filters in a grid of blocks.
+    """Mean responses of Gabor filters in a grid of blocks to :func:`prefiltered` (C, H, W).
 
-    Args:
-        channels: (C, H, W), :func:`prefiltered`.
-        orientations: filters of each scale, fine to coarse.
-        blocks: rows and columns of the grid.
-        pad: pixels by which the borders are mirrored.
+    ``orientations`` are the filters of each scale, fine to coarse; borders are mirrored by ``pad``
+    pixels.
 
     Returns:
         (C · filters · blocks²,): channel slowest, then filter, then column, then row of the grid.

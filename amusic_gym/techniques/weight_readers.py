@@ -90,10 +90,6 @@ def _read_torch(data: bytes) -> tuple[Arrays, dict[str, str]]:
     return arrays, {}
 
 
-def _read_caffe(data: bytes) -> tuple[Arrays, dict[str, str]]:
-    return read_caffemodel(data), {}
-
-
 def _read_onnx(data: bytes) -> tuple[Arrays, dict[str, str]]:
     try:
         import onnx
@@ -152,7 +148,7 @@ READERS: dict[str, Callable[[bytes], tuple[Arrays, dict[str, str]]]] = {
     ".pth": _read_torch,
     ".ckpt": _read_torch,  # PyTorch Lightning's
     ".tar": _read_torch,  # name.pth.tar is PyTorch's, not tar's
-    ".caffemodel": _read_caffe,
+    ".caffemodel": lambda data: (read_caffemodel(data), {}),
     ".onnx": _read_onnx,
     ".mat": _read_matlab,
 }

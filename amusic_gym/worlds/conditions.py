@@ -83,13 +83,10 @@ def parts_of(condition: str) -> tuple[str, ...]:
 
 
 def look_at(condition: str, seed: int, run: int, position: float) -> Look:
-    """How the world looks at a position of a drive.
+    """How the world looks at a position of a drive, in metres; every drive differs a little.
 
-    Args:
-        condition: one or more of `NAMES`, joined by "+"; later ones win.
-        seed: of the world.
-        run: number of the drive; every drive differs a little.
-        position: metres along the route; only "changing" depends on it.
+    ``condition`` is one or more of `NAMES`, joined by "+"; later ones win. Only "changing" depends
+    on the position.
 
     Raises:
         ValueError: for an unknown condition.
