@@ -251,11 +251,7 @@ class TrainingConfig(Settings):
         return {name: bool(getattr(settings, name)) for name in ("carry", "discount")} | idle
 
     def population(self) -> Simulation:
-        """The ranges that training routes are drawn from.
-
-        Raises:
-            ValueError: for an unknown range, or a value out of its limits.
-        """
+        """The ranges that training routes are drawn from; refuses an unknown one, or its value."""
         names = [range_.name for range_ in fields(Simulation)]
         for name in self.simulation:
             if name not in names:
@@ -276,11 +272,7 @@ class TrainingConfig(Settings):
 
 
 def training_config(algorithm: str, **given: Any) -> TrainingConfig:
-    """The configuration of an algorithm: its defaults, and what is given.
-
-    Raises:
-        ValueError: for an unknown algorithm or a number out of range.
-    """
+    """The configuration of an algorithm: its defaults, and what is given, if that fits."""
     return TrainingConfig(**{"algorithm": algorithm, **DEFAULTS.get(algorithm, {}), **given})
 
 

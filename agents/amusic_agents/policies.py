@@ -19,11 +19,7 @@ def run_of(argument: str | None) -> Path:
 
 
 def run_of_statistic(argument: str | None) -> Path:
-    """Run folder of ``ppo@STATISTIC`` or ``ppo@STATISTIC:idle``, that ship.
-
-    Raises:
-        ValueError: for a run of one's own, or a statistic that none ships for.
-    """
+    """Run folder of ``ppo@STATISTIC`` or ``ppo@STATISTIC:idle``; refuses what does not ship."""
     statistic, _, rest = (argument or "").partition(":")
     if rest not in ("", IDLE):
         raise ValueError(f"ppo@{argument}: a run brings its own statistic; name it ppo:{rest}")

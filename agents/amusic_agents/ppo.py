@@ -112,11 +112,7 @@ class PPOLearner(BaseCallback):
         return self.model.policy.mlp_extractor  # type: ignore[return-value]
 
     def run(self, progress: bool) -> None:
-        """Train until all frames are driven and the last weights evaluated.
-
-        Raises:
-            KeyboardInterrupt: after saving a checkpoint.
-        """
+        """Train to the last evaluation; a KeyboardInterrupt comes after a checkpoint."""
         done, wanted = self.model.num_timesteps, self.config.timesteps
         if wanted <= done and self._is_evaluated():
             return

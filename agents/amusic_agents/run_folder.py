@@ -136,11 +136,7 @@ def stored_config(run: Path) -> TrainingConfig:
 
 
 def stored_banks(run: Path) -> list[str]:
-    """Folders of the banks that a run trains on; empty: simulated routes.
-
-    Raises:
-        ValueError: if it was trained on routes that no folder holds.
-    """
+    """Folders of the banks that a run trains on, none for simulated routes; refuses others."""
     banks = read_config(run).get("banks", [])
     if not isinstance(banks, list) or not all(isinstance(bank, str) for bank in banks):
         raise ValueError(f"{run} was trained on routes in memory; give them again to resume")

@@ -122,10 +122,14 @@ class Study:
         return [trial for trial in self.study.trials if trial.state.name in ("COMPLETE", "PRUNED")]
 
     @property
+    def completed(self) -> list[optuna.trial.FrozenTrial]:
+        """Trials that were trained to their end."""
+        return [trial for trial in self.study.trials if trial.state.name == "COMPLETE"]
+
+    @property
     def best(self) -> optuna.trial.FrozenTrial | None:
         """The trial of the highest score, of those trained to their end."""
-        done = [trial for trial in self.finished if trial.state.name == "COMPLETE"]
-        return max(done, key=lambda trial: trial.value or 0.0, default=None)
+        return max(self.completed, key=lambda trial: trial.value or 0.0, default=None)
 
     def requeue(self) -> None:
         """Put trials that a stop interrupted before the next ones; they go on in their folders."""
@@ -162,17 +166,13 @@ class Study:
             trial.set_user_attr("run", f"{trial.number:04d}")
         run = self.out / TRIALS / trial.user_attrs["run"]
         if self.seeds == 1:
-            return [Training(trial.number, run, config, self._completed())]
+            scores = tuple(tuple(each.intermediate_values.values()) for each in self.completed)
+            return [Training(trial.number, run, config, scores)]
         seeds = range(config.seed, config.seed + self.seeds)
         return [
             Training(trial.number, run / f"seed-{seed}", replace(config, seed=seed))
             for seed in seeds
         ]
-
-    def _completed(self) -> tuple[tuple[float, ...], ...]:
-        """Scores of the trials that were trained to their end."""
-        done = [trial for trial in self.finished if trial.state.name == "COMPLETE"]
-        return tuple(tuple(trial.intermediate_values.values()) for trial in done)
 
     def _tell(self, trial: optuna.Trial, reached: Sequence[Reached]) -> optuna.trial.FrozenTrial:
         """Keep a trial's scores, means over its seeds, and the best settings so far."""

@@ -146,11 +146,7 @@ class ScoreBank:
             return self._prepared[candidates]
 
     def check_finite(self) -> None:
-        """Read every score once.
-
-        Raises:
-            ValueError: at the first score that is NaN or +∞, naming technique and frame.
-        """
+        """Read every score once; refuses the first that is NaN or +∞, by technique and frame."""
         for technique, stored in zip(self.techniques, self.index, strict=True):
             check_rows(technique, self.stored[stored])
 

@@ -144,11 +144,7 @@ def _read_once(
 def parse_manifest(
     content: bytes, path: Path, kind: str, most: int, rebuild: str
 ) -> dict[str, Any]:
-    """The manifest of a folder that holds a checksum of itself.
-
-    Raises:
-        ValueError: for a damaged one, or one of a newer version.
-    """
+    """The manifest of a folder, with a checksum of itself; refuses a damaged or a newer one."""
     manifest: dict[str, Any] = reading.parse_json(content, path, rebuild)
     version = manifest.get("format_version")
     if not isinstance(version, int) or version < 1:

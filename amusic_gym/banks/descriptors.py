@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -190,12 +190,9 @@ def from_npy(path: Path) -> Descriptors:
     if header.dtype.kind in "UST":
         raise ValueError(f"{path} lists names ({header.dtype}); give the file of descriptors")
     _check(path, header.shape, header.dtype, 2)
-    order: Literal["C", "F"] = "F" if header.fortran_order else "C"
 
     def read(rows: NDArray[np.int64]) -> NDArray[Any]:
-        # Mapped anew each time: so pages that were read are let go.
-        mapped = np.memmap(path, header.dtype, "r", header.offset, header.shape, order)
-        return np.asarray(mapped[rows])
+        return np.asarray(header.mapped(path)[rows])
 
     count, dimensions = header.shape
     return Descriptors(str(path), dimensions, np.arange(count), None, read)

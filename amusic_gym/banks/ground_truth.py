@@ -170,14 +170,10 @@ class GroundTruth:
         return result
 
     def centres(self, predictions: ArrayLike) -> NDArray[np.int64]:
-        """(Q,) middle of the run of true neighbours nearest to each frame's prediction.
+        """(Q,) middle of the run of true neighbours nearest to each prediction; -1 where none is.
 
         A run that the map's end cuts off has its middle where that of a whole one would be.
-
-        -1 where the query has no true place.
-
-        Args:
-            predictions: (Q,) places in [0, R), or -1.
+        Predictions (Q,) are places in [0, R), or -1.
         """
         places, queries = self._pairs(predictions, None)
         result = np.full(len(places), -1)

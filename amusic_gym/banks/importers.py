@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -249,14 +249,10 @@ class _Matrix:
         return self.header.shape
 
     def blocks(self) -> Iterator[NDArray[np.float32]]:
-        """The rows, mapped anew for each block: so pages that were read are let go."""
+        """The rows, some at a time."""
         step = max(1, _BLOCK // self.shape[1])
-        order: Literal["C", "F"] = "F" if self.header.fortran_order else "C"
         for first in range(0, self.shape[0], step):
-            mapped = np.memmap(
-                self.path, self.header.dtype, "r", self.header.offset, self.shape, order
-            )
-            yield as_float32(mapped[first : first + step])
+            yield as_float32(self.header.mapped(self.path)[first : first + step])
 
 
 def _check_matrix(shape: tuple[int, ...], dtype: np.dtype[Any], path: _Path) -> None:

@@ -57,11 +57,7 @@ def images_of(folder: ImageFolder) -> Images:
 
 @dataclass
 class ExtractionPlan:
-    """One technique on one route, in blocks, and the keys of its results in the cache.
-
-    Raises:
-        ValueError: when the technique's parameters are not plain values.
-    """
+    """One technique on one route, in blocks, and the keys of its results in the cache."""
 
     technique: Technique
     reference: Images

@@ -141,11 +141,7 @@ class MatchShard:
         return f"matching {self.queries.shape[0]} queries × {self.references.shape[0]} references"
 
     def run(self, technique: Technique, advance: Advance = nothing) -> NDArray[np.float32]:
-        """Match the queries one by one, each as :func:`match_one` does it live.
-
-        Raises:
-            ValueError: for a query that cannot be matched, with its path.
-        """
+        """Match the queries one by one, each as :func:`match_one` does it live; names a bad one."""
         queries, block = array_of(self.queries), aligned(array_of(self.references))
         scores = np.empty((len(queries), len(block)), np.float32)
         with one_thread():

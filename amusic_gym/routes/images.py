@@ -75,11 +75,7 @@ def decode_image(
 
 
 def check_image(data: bytes, what: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS) -> None:
-    """Refuse the bytes of an image file for what can be told without computing its pixels.
-
-    Raises:
-        ValueError: when they are empty, truncated, damaged, too large an image or none.
-    """
+    """Refuse, before any pixel is computed, what is truncated, damaged, too large or no image."""
     from amusic_gym.routes.image_damage import check_jpeg, check_tiff
 
     small = True

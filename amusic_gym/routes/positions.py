@@ -50,11 +50,7 @@ class Positions:
         return replace(self, metres=self.metres[at], headings=headings)
 
     def joined(self, other: Positions) -> Positions:
-        """These and then the others; headings where both have them.
-
-        Raises:
-            ValueError: where they cannot be compared.
-        """
+        """These and then the others, if comparable; headings where both have them."""
         check_comparable(self, other)
         both = None
         if self.headings is not None and other.headings is not None:
@@ -77,11 +73,7 @@ class Positions:
         return np.asarray(np.abs(turned))
 
     def every(self, metres: float) -> NDArray[np.int64]:
-        """Indices of the first image, and of each next one at least ``metres`` from the last.
-
-        Raises:
-            ValueError: for a distance that is none.
-        """
+        """Indices of the first image and of each next one at least ``metres`` > 0 from the last."""
         if not 0 < metres < math.inf:
             raise ValueError(f"--every-metres is {metres!r}; give a distance above 0")
         taken = [0]

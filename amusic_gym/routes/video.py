@@ -110,11 +110,7 @@ class VideoFile:
             raise ValueError(f"{self.path} {what}; give a video such as .mp4 or .avi")
 
     def read(self, frame: int) -> Image | None:
-        """A frame that was not read since the last :meth:`rewind`; None after the last.
-
-        Raises:
-            ValueError: for a frame that has gone by.
-        """
+        """A frame that has not gone by since the last :meth:`rewind`; None after the last."""
         if frame < self._next:
             raise ValueError(
                 f"video {self.path}: frame {frame} has gone by, a video is read forwards; rewind()"

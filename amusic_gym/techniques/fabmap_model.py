@@ -87,22 +87,14 @@ class ChowLiuTree:
         return observed(P_SEEN), observed(0.0)
 
     def save(self, path: str | Path, vocabulary: NDArray[np.float32], training: str) -> Path:
-        """Write tree and vocabulary (V, D), whole or not at all, as safetensors.
-
-        Raises:
-            ValueError: for another ending of the name.
-        """
+        """Write tree and vocabulary (V, D), whole or not at all, to a name in ``.safetensors``."""
         arrays = {"parent": self.parent.astype(np.float64), "p": self.p, "p1": self.p1}
         arrays |= {"p0": self.p0, "vocabulary": vocabulary.astype(np.float32)}
         return write_weights(path, arrays, {"technique": TECHNIQUE, "training": training})
 
     @classmethod
     def read(cls, file: WeightFile, length: int) -> tuple[ChowLiuTree, NDArray[np.float32]]:
-        """Tree and vocabulary (V, ``length``) of a file.
-
-        Raises:
-            ValueError: for a file of something else, or one that is damaged.
-        """
+        """Tree and vocabulary (V, ``length``) of a file; refuses one of something else."""
         file.description(TECHNIQUE)
         vocabulary = file.layer(TECHNIQUE, "vocabulary", None, length)
         words = len(vocabulary)

@@ -67,11 +67,7 @@ class _Family:
 
 
 def load_netvlad(file: WeightFile) -> tuple[NetVLADNetwork, Preparation]:
-    """The network with a file's weights, ready for use, and what is done to its images.
-
-    Raises:
-        ValueError: naming the first layer that is missing, of another shape, or not finite.
-    """
+    """The network with a file's weights, and its preparation; refuses layers that do not fit."""
     described = file.description("NetVLAD")
     if described is not None:
         widths, preparation = _read_description(file, described)

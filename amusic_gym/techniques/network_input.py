@@ -40,11 +40,7 @@ class NetworkInput:
             raise ValueError(suggest("interpolation", self.interpolation, INTERPOLATIONS))
 
     def apply(self, image: Image) -> Tensor:
-        """(3, H, W) float32 red, green, blue, standardised.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(3, H, W) float32 red, green, blue, standardised; refuses what is no image."""
         check_image(image)
         colours = torch.from_numpy(np.ascontiguousarray(image[:, :, ::-1]))  # BGR -> RGB
         colours = colours.permute(2, 0, 1).float()[None]  # (1, 3, H, W)

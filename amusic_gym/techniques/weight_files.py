@@ -145,11 +145,7 @@ def _plain(name: str) -> str:
 def write_weights(
     path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], description: dict[str, Any]
 ) -> Path:
-    """Write weights in our layout, whole or not at all.
-
-    Raises:
-        ValueError: for a name that does not end in ``.safetensors``.
-    """
+    """Write weights in our layout, whole or not at all, to a name in ``.safetensors``."""
     from safetensors.numpy import save
 
     path = Path(path)
