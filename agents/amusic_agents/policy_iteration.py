@@ -144,7 +144,7 @@ class BehaviourPolicy:
     """Drives the routes of a collection: each spell by the policy so far, or by one subset.
 
     Subsets lead to states that the policy would not come to, and must recover from. ``share`` of
-    the spells are the policy's, None: none; a subset may be empty if ``idle``.
+    the spells are the policy's, where there is one; a subset may be empty if ``idle``.
     """
 
     def __init__(

@@ -80,7 +80,7 @@ class Training:
             self._restore()
 
     def run(self, loss_of: Callable[[np.random.Generator], Tensor]) -> list[float]:
-        """Train to the last step, each loss; a KeyboardInterrupt comes after a checkpoint."""
+        """Train to the end; each step's loss. A KeyboardInterrupt comes after a checkpoint."""
         self.network.train()
         done = len(self.losses)
         hidden = not self.job.progress
