@@ -4,8 +4,6 @@ Each technique's group of the observation, joined with the route's group, goes t
 the encodings are pooled over the techniques that are present.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -20,14 +18,11 @@ from amusic_gym.envs.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.policies.protocol import Needs
 
-VERSION = 1
-"""Rises whenever stored weights of any network would mean something else."""
-
+VERSION = 1  # rises whenever stored weights of any network would mean something else
 WIDTH = len(TECHNIQUE_FEATURES)
 ROUTE_WIDTH = len(ROUTE_FEATURES)
 PRESENT = TECHNIQUE_FEATURES.index("present")
-ABSENT = -20.0
-"""Logit of an empty slot."""
+ABSENT = -20.0  # logit of an empty slot
 
 
 def presence(observation: torch.Tensor) -> torch.Tensor:
@@ -36,11 +31,7 @@ def presence(observation: torch.Tensor) -> torch.Tensor:
 
 
 class SetEncoder(nn.Sequential):
-    """Encodes every technique by the same layers, and all together by mean and maximum.
-
-    Args:
-        sizes: of the layers.
-    """
+    """Encodes every technique by the same layers, and all together by mean and maximum."""
 
     def __init__(self, sizes: SetSizes) -> None:
         super().__init__(
@@ -66,9 +57,6 @@ class SelectorNetwork(nn.Module):
 
     One head gives each technique's logit from its own encoding and the pool, another the features.
     Permuting the techniques permutes the logits.
-
-    Args:
-        sizes: of the layers, and the first logit.
     """
 
     def __init__(self, sizes: NetworkConfig) -> None:
@@ -118,11 +106,6 @@ class SelectorNetwork(nn.Module):
 class NetworkSelector(ABC):
     """A policy that acts as a trained network says.
 
-    Attributes:
-        kind: the kind's name in the file of the weights.
-        sizes_type: dataclass of the network's sizes; refuses those that no network has.
-        network_type: makes a network of such sizes.
-
     Args:
         network: the network.
         statistic: SIC's statistic that it was trained on.
@@ -131,9 +114,10 @@ class NetworkSelector(ABC):
         reselection: M of the environment's re-select bit; None: it has none.
     """
 
-    kind: ClassVar[str]
+    kind: ClassVar[str]  # the kind's name in the file of the weights
+    # dataclass of the network's sizes; refuses those that no network has
     sizes_type: ClassVar[type[Any]]
-    network_type: ClassVar[type[Any]]
+    network_type: ClassVar[type[Any]]  # makes a network of such sizes
 
     def __init__(
         self,

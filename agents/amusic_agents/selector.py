@@ -1,7 +1,5 @@
 """A trained selector as a policy: drives any bank, of any number of techniques."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
