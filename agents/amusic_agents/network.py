@@ -14,7 +14,11 @@ from numpy.typing import NDArray
 from torch import nn
 
 from amusic_agents.config import NetworkConfig, SetSizes
-from amusic_gym.envs.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
+from amusic_gym.envs.observation import (
+    ROUTE_FEATURES,
+    TECHNIQUE_FEATURES,
+    limit_compute_weight,
+)
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.policies.protocol import Needs
 
@@ -106,6 +110,10 @@ class SelectorNetwork(nn.Module):
 class NetworkSelector(ABC):
     """A policy that acts as a trained network says.
 
+    Attributes:
+        compute_weights: range of λ that it was trained for; at any other λ it acts as at the
+            nearest end. None: no such range.
+
     Args:
         network: the network.
         statistic: SIC's statistic that it was trained on.
@@ -118,6 +126,7 @@ class NetworkSelector(ABC):
     # dataclass of the network's sizes; refuses those that no network has
     sizes_type: ClassVar[type[Any]]
     network_type: ClassVar[type[Any]]  # makes a network of such sizes
+    compute_weights: tuple[float, float] | None = None
 
     def __init__(
         self,
@@ -147,3 +156,9 @@ class NetworkSelector(ABC):
     @abstractmethod
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
         """Actions (N, A) from observations (N, D)."""
+
+    def seen(self, observation: NDArray[np.float32]) -> torch.Tensor:
+        """Observations (N, D) as the network takes them, λ within what it was trained for."""
+        if self.compute_weights is not None:
+            observation = limit_compute_weight(observation, *self.compute_weights)
+        return torch.from_numpy(observation)

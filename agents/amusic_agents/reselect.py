@@ -114,5 +114,5 @@ class ReselectSelector(NetworkSelector):
         """The selected techniques and the re-select bit, (N, S + 1)."""
         self._held.note(info)
         with torch.inference_mode():
-            chance = torch.sigmoid(self.network.logits(torch.from_numpy(observation))).numpy()
+            chance = torch.sigmoid(self.network.logits(self.seen(observation))).numpy()
         return self._held.actions(chance > (info["frame"] + 1) * GOLDEN_RATIO % 1.0)

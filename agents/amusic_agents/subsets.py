@@ -125,7 +125,7 @@ class SubsetSelector(NetworkSelector):
 
     def _rated(self, observation: NDArray[np.float32]) -> tuple[torch.Tensor, torch.Tensor]:
         """Subsets (A, S) and their ratings (N, A), −∞ for those that cannot run."""
-        seen = torch.from_numpy(observation)
+        seen = self.seen(observation)
         present = presence(seen)
         with torch.inference_mode():
             allowed = valid(present, self.needs.allow_idle)
