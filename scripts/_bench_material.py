@@ -23,8 +23,7 @@ TOLERANCE = 5
 PLAIN: dict[str, Any] = {"statistic": "evidence", "carry": False, "discount": False}
 """What the NumPy side computes, too."""
 
-BYTES_PER_PLACE = 4 + 8 + 8
-"""Of a row add: read a float32 score, read and write a float64 sum."""
+BYTES_PER_PLACE = 4 + 8 + 8  # of a row add: read a float32 score, read and write a float64 sum
 
 
 class Sizes(NamedTuple):

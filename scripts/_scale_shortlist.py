@@ -49,8 +49,7 @@ class Index(Protocol):
         ...
 
 
-BEST = 50
-"""Places that a search gives: SIC's K."""
+BEST = 50  # places that a search gives: SIC's K
 
 
 class NumpyIndex:

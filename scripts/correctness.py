@@ -31,8 +31,7 @@ from amusic_gym.utils.storage import write_whole
 COLOURS = ("#0072B2", "#D55E00")
 MARKS = ("o", "s")
 LEAST = 0.7  # frames at which the bars begin, on a logarithmic scale
-FEW = 30
-"""Bins of fewer frames are hollow: their share says little."""
+FEW = 30  # bins of fewer frames are hollow: their share says little
 
 
 def roll(bank: ScoreBank, statistic: str) -> list[Trace]:

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from amusic_gym.banks.bank import ScoreBank
     from amusic_gym.techniques import Technique
 
-LEAST_SIZE = 16
-"""Pixels of a rendered image's sides."""
+LEAST_SIZE = 16  # pixels of a rendered image's sides
 
 PART = re.compile(r"([^:]+):([^:]+?)(?:@(\d+):(\d+):([1-9]\d*))?")
 

@@ -43,8 +43,7 @@ SELECTORS = {
     SHIPS: "On tours that no training saw, the selector that ships (ppo)",
     MAY_IDLE: "The one that may run nothing on a frame (ppo:idle)",
 }
-FOLLOWS_STOPS = ("amusic:belief", "ppo@belief")
-"""Driven with on the route with stops, besides."""
+FOLLOWS_STOPS = ("amusic:belief", "ppo@belief")  # driven with on the route with stops, besides
 
 
 def add_arguments(parser: Parser) -> None:

@@ -27,8 +27,7 @@ def best_within(rows: Sequence[Row], compute: float) -> Row:
     return max(fitting, key=lambda row: (round(row["auc"], 3), -row["compute"]))
 
 
-NOT_HOPELESS = 0.2
-"""Accuracy of a drive that fails and is worth a look."""
+NOT_HOPELESS = 0.2  # accuracy of a drive that fails and is worth a look
 
 
 class Tale(NamedTuple):

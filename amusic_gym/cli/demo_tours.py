@@ -34,16 +34,12 @@ TOLERANCE = 1
 PLACES = 100
 TOURS = 3
 WORKERS = 2
-FIRST_WORLD = 4_000
-"""Seed of the first world; what ships was trained on others."""
+FIRST_WORLD = 4_000  # seed of the first world; what ships was trained on others
 
 STOPS_SEED = 3
 COMPUTE_WEIGHT = 0.3
-INTO_SPELL = 20
-"""Frames into a spell: the image of it that the contact sheet shows."""
-
-OF_DRIVE = 60
-"""Frame of the live drive that the page shows."""
+INTO_SPELL = 20  # frames into a spell: the image of it that the contact sheet shows
+OF_DRIVE = 60  # frame of the live drive that the page shows
 
 
 class DemoWorld(NamedTuple):

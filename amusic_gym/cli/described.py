@@ -23,8 +23,7 @@ from amusic_gym.routes.positions import Positions
 if TYPE_CHECKING:
     from amusic_gym.techniques import Technique
 
-TECHNIQUES = "hog,cohog,calc,netvlad"
-"""Of a map of images where none are named."""
+TECHNIQUES = "hog,cohog,calc,netvlad"  # of a map of images where none are named
 
 _OF_IMAGES = ("reference", "techniques", "reference_positions", "cache")
 

@@ -63,8 +63,7 @@ from amusic_gym.utils.checks import share, whole
 
 LIMITS = ("budget_ms", "budget_fps", "budget_joules", "cap_ms")
 
-WARM_UP = 2
-"""Frames of the map that the policy is run on before the drive."""
+WARM_UP = 2  # frames of the map that the policy is run on before the drive
 
 
 def add_arguments(parser: Parser) -> None:

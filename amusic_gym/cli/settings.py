@@ -18,14 +18,12 @@ if TYPE_CHECKING:
 SHORT = {"rollouts.iterations": "--iterations", "rollouts.states": "--states"}
 """Second names of options."""
 
-PREFIX = "settings."
-"""Of the options' names among a command's arguments."""
+PREFIX = "settings."  # of the options' names among a command's arguments
 
 APART = ("carry", "discount", "simulation")
 """Settings whose options are of another form than their values."""
 
-FREE = ("timesteps", "threads")
-"""Settings that may be others when a training is resumed."""
+FREE = ("timesteps", "threads")  # settings that may be others when a training is resumed
 
 
 def option(name: str) -> str:

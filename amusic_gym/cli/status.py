@@ -19,12 +19,8 @@ from typing import Any, NoReturn
 from amusic_gym.utils.escaping import for_terminal
 
 INTERRUPTED, READER_GONE = 130, 141  # as a shell counts a death by SIGINT and by SIGPIPE
-
-STOPS = (signal.SIGTERM, signal.SIGHUP)
-"""Signals that a command takes as it takes Ctrl-C."""
-
-SAME = 10.0
-"""Seconds in which more of them are no second request: a closing terminal sends several."""
+STOPS = (signal.SIGTERM, signal.SIGHUP)  # signals that a command takes as it takes Ctrl-C
+SAME = 10.0  # seconds in which more of them are no second request: a closing terminal sends several
 
 
 def run(main: Callable[[], int | None], prog: str | None = None) -> NoReturn:

@@ -23,14 +23,9 @@ from amusic_gym.utils.reading import read_json
 from amusic_gym.utils.storage import write_whole
 
 FILE = "teacher.json"
-PARTS = 12
-"""Into how many the range of λ is cut."""
-
-ROUTES = 32
-"""Simulated training routes on which the cascades are measured."""
-
-EVERYTHING = 99
-"""Always running so many of the cheapest techniques is running all."""
+PARTS = 12  # into how many the range of λ is cut
+ROUTES = 32  # simulated training routes on which the cascades are measured
+EVERYTHING = 99  # always running so many of the cheapest techniques is running all
 
 
 class Parameters(NamedTuple):

@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from amusic_gym.evaluation import metrics
 from amusic_gym.policies.trace import Trace
 
-PARTING = 0.1
-"""p̂ and the truth part where mean p̂ and accuracy differ by more than this."""
+PARTING = 0.1  # p̂ and the truth part where mean p̂ and accuracy differ by more than this
 
 
 class Audit(NamedTuple):

@@ -265,8 +265,7 @@ SHOWN = (
 )
 """Columns of ``results.json`` in a terminal."""
 
-LINE = 100
-"""Letters of a line of text below a table."""
+LINE = 100  # letters of a line of text below a table
 
 
 def table(comparison: Comparison) -> str:

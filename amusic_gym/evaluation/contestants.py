@@ -19,8 +19,7 @@ from amusic_gym.policies.registry import parse
 COMPUTE_WEIGHTS = (0.01, 0.05, 0.15, 0.3, 0.6, 1.0, 2.0, 6.0)
 """The compute weights λ that a policy which reads λ is run with where none are named."""
 
-MOST_TECHNIQUES = 6
-"""Up to so many techniques all their subsets can be compared: 63 of them."""
+MOST_TECHNIQUES = 6  # up to so many techniques all their subsets can be compared: 63 of them
 
 
 @dataclass(frozen=True)

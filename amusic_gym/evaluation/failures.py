@@ -14,9 +14,7 @@ from amusic_gym.utils.names import suggest
 from amusic_gym.utils.reading import read_json
 from amusic_gym.utils.storage import keep_only, write_whole
 
-MOST = 40
-"""Failures on a sheet."""
-
+MOST = 40  # failures on a sheet
 ACROSS = 4  # failures side by side
 WIDTH, HEIGHT, MARGIN = 160, 120, 8  # pixels of a picture, and between failures
 ABOVE, BELOW = 34, 38  # pixels for the sheet's title, and for the words of a failure

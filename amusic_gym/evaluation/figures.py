@@ -19,11 +19,8 @@ from amusic_gym.utils.storage import keep_only
 MOST_CURVES = 16  # in a figure; of more the subsets are left out, then the last
 MOST_SHADES = 3  # λ of one policy in a figure of curves
 MOST_PANELS = 8  # traces in a figure of selections
-NEAR = 0.02
-"""Difference of AUC that a headline passes over."""
-
-DRAWN = ("front", "selections")
-"""Figures that the page's script draws itself."""
+NEAR = 0.02  # difference of AUC that a headline passes over
+DRAWN = ("front", "selections")  # figures that the page's script draws itself
 
 
 def draw(comparison: Comparison, folder: str | Path) -> list[ReportFigure]:

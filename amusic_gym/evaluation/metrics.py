@@ -21,8 +21,7 @@ CALIBRATION_BINS = 15
 MEAN_KEY = ("policy", "compute_weight", "statistic", "carry", "costs")
 """Rows that are alike in these are averaged."""
 
-RECALLS = {f"recall_at_{n}": n for n in (1, 5, 10, 20)}
-"""Column -> N of Recall@N."""
+RECALLS = {f"recall_at_{n}": n for n in (1, 5, 10, 20)}  # column -> N of Recall@N
 
 AVERAGED = (
     "accuracy",

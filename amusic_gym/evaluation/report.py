@@ -24,8 +24,7 @@ from amusic_gym.policies.trace import Trace
 from amusic_gym.routes.bank_images import BankImages
 from amusic_gym.utils.storage import write_whole
 
-GENERATOR = b'<meta name="generator" content="amusic-gym">'
-"""By which a page of ours is known."""
+GENERATOR = b'<meta name="generator" content="amusic-gym">'  # by which a page of ours is known
 
 PICTURES = {b"\x89PNG\r\n": "png", b"\xff\xd8\xff": "jpeg"}
 """First bytes of a figure's file -> its type."""

@@ -23,14 +23,9 @@ from amusic_gym.routes.bank_images import BankImages, ListedImage
 from amusic_gym.utils.colours import technique_colours
 from amusic_gym.utils.storage import keep_only, write_whole
 
-LONGEST_SIDE = 160
-"""Pixels of a picture."""
-
-COLUMNS, PER_SHEET = 10, 50
-"""Pictures side by side on a sheet, and all on it."""
-
-ROOM = 5_000_000
-"""Characters of pictures and figures in the page; more lie beside it."""
+LONGEST_SIDE = 160  # pixels of a picture
+COLUMNS, PER_SHEET = 10, 50  # pictures side by side on a sheet, and all on it
+ROOM = 5_000_000  # characters of pictures and figures in the page; more lie beside it
 
 Row = Mapping[str, Any]
 

@@ -51,8 +51,7 @@ class FrameResult:
         return tuple(n for n, on in zip(self.techniques, self.ran, strict=True) if on)
 
 
-RETRY = 100
-"""Frames for which a technique that raised is left out."""
+RETRY = 100  # frames for which a technique that raised is left out
 
 
 class Drive(Protocol):
@@ -195,8 +194,7 @@ class _SelectorDrive:
         }
 
 
-_KEPT = frozenset({"route", "batch", "_turn", "_policy"})
-"""Attributes that are the new drive's own."""
+_KEPT = frozenset({"route", "batch", "_turn", "_policy"})  # attributes that are the new drive's own
 
 
 def _told(info: dict[str, Any], techniques: int) -> dict[str, Any]:

@@ -21,20 +21,14 @@ from amusic_gym.utils.names import suggest
 if TYPE_CHECKING:
     from amusic_gym.live.drives import FrameResult
 
-WINDOW = 200
-"""Frames over which the average is held to the budget."""
-
-MARGIN = 0.05
-"""Share of the budget by which that average may be off before choices are changed."""
-
-GAIN = 0.05
-"""What ln λ rises by after a frame that costs a whole budget too much."""
+WINDOW = 200  # frames over which the average is held to the budget
+MARGIN = 0.05  # share of the budget by which that average may be off before choices are changed
+GAIN = 0.05  # what ln λ rises by after a frame that costs a whole budget too much
 
 MEMORY = 9
 """Runs of which the median is what a technique is taken to cost, where costs are measured."""
 
-WORST = 2.0
-"""Times what all techniques are expected to cost that a frame is charged with at most."""
+WORST = 2.0  # times what all techniques are expected to cost that a frame is charged with at most
 
 Flags = NDArray[np.bool_]
 Floats = NDArray[np.float64]

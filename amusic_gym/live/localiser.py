@@ -28,11 +28,8 @@ from amusic_gym.utils.states import read_state, write_state
 COMPUTE_WEIGHT = 0.3
 """λ of a trained selector where none is named: in the middle of what `compare` runs."""
 
-TOLERANCE = 2
-"""Places that count as one when matches are compared, where none is named."""
-
-KNOWN = 0.5
-"""Estimated correctness from which a place counts as known, where nothing else is said."""
+TOLERANCE = 2  # places that count as one when matches are compared, where none is named
+KNOWN = 0.5  # estimated correctness from which a place counts as known, where nothing else is said
 
 
 @dataclass(frozen=True, eq=False)

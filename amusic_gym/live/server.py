@@ -10,8 +10,7 @@ from typing import Any
 from amusic_gym.live.answers import line
 from amusic_gym.utils.closing import Closing
 
-ALIVE = 15.0
-"""Seconds without an answer after which a reader of events is told that all is well."""
+ALIVE = 15.0  # seconds without an answer after which a reader of events is told that all is well
 
 
 class AnswerServer(Closing):

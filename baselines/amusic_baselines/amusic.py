@@ -15,13 +15,11 @@ from amusic_gym.policies.protocol import Context, Needs
 from amusic_gym.policies.registry import AMUSIC, RegisteredPolicy
 from amusic_gym.utils.names import suggest
 
-ALPHA = 0.05
-"""Significance level of the re-selection test (A-MuSIC, III-C2)."""
+ALPHA = 0.05  # significance level of the re-selection test (A-MuSIC, III-C2)
 
 MOST_BLOCK = 1000
 
-ROUNDING = 1e-9
-"""Corrections this close to each other are equal."""
+ROUNDING = 1e-9  # corrections this close to each other are equal
 
 
 def differ(before: ArrayLike, after: ArrayLike, alpha: float = ALPHA) -> bool:

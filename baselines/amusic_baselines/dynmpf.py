@@ -18,8 +18,7 @@ from amusic_baselines.scores import RADIUS, every_row, scaled
 from amusic_gym.policies.protocol import Context, Run
 from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
-MOST_TECHNIQUES = 10
-"""There are 2**T - 1 subsets, 1023 of so many."""
+MOST_TECHNIQUES = 10  # there are 2**T - 1 subsets, 1023 of so many
 
 
 def subsets(techniques: int) -> NDArray[np.float64]:

@@ -27,9 +27,7 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.policies.protocol import Context, Run
 from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
-THRESHOLD = 0.7
-"""τ: correctness at which it stops."""
-
+THRESHOLD = 0.7  # τ: correctness at which it stops
 ROUTES = 48  # simulated routes to learn from, by the seeds 0, 1, ...
 FRAMES = 100  # of each
 GRID = 128  # scores at which the densities are evaluated

@@ -13,11 +13,8 @@ from amusic_baselines.costs import cost_shares
 from amusic_gym.policies.protocol import Context, Needs
 from amusic_gym.policies.registry import IDLE, VOI, RegisteredPolicy
 
-KEEP = 0.9
-"""Share of a technique's record that is left after each further run."""
-
-LASTING = 0.99
-"""Probability that what a record says still holds one frame later."""
+KEEP = 0.9  # share of a technique's record that is left after each further run
+LASTING = 0.99  # probability that what a record says still holds one frame later
 
 FORM = "LAMBDA, voi:idle or voi:LAMBDA/idle"
 

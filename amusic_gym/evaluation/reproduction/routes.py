@@ -16,11 +16,8 @@ from amusic_gym.routes.datasets import DATASETS, LoadedRoute, load_dataset
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.techniques import make_technique
 
-ONE_DRIVE = "one_drive"
-"""Name of the data sets joined."""
-
-SMALL = 100
-"""Images with a side of fewer pixels are not the paper's."""
+ONE_DRIVE = "one_drive"  # name of the data sets joined
+SMALL = 100  # images with a side of fewer pixels are not the paper's
 
 
 @dataclass(frozen=True)

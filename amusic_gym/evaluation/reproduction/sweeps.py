@@ -12,17 +12,10 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.estimation.sic.correction import SIC
 
-CANDIDATES = (1, 2, 5, 10, 20, 50, 100)
-"""K of figure 3."""
-
-HISTORIES = (1, 10, 100, 1000)
-"""F of figure 3, frames."""
-
-BLOCKS = (5, 10, 20, 40)
-"""M, frames."""
-
-COVERAGES = (0.5, 0.6, 0.7, 0.8, 0.9)
-"""E."""
+CANDIDATES = (1, 2, 5, 10, 20, 50, 100)  # K of figure 3
+HISTORIES = (1, 10, 100, 1000)  # F of figure 3, frames
+BLOCKS = (5, 10, 20, 40)  # M, frames
+COVERAGES = (0.5, 0.6, 0.7, 0.8, 0.9)  # E
 
 ADAPTIVE = [f"amusic:mean/{block}/{coverage}" for block in BLOCKS for coverage in COVERAGES]
 """A-MuSIC with every M and E."""

@@ -20,8 +20,7 @@ MISSING = "–"
 TOGETHER = "in one drive"
 DIGITS = {"ptr": 2, "technique_runs": 0, "re_selections": 0}
 
-Cells = dict[str, dict[str, dict[str, float]]]
-"""Data set → method → number by name."""
+Cells = dict[str, dict[str, dict[str, float]]]  # data set → method → number by name
 
 
 def performance(traces: Sequence[Trace]) -> Cells:

@@ -114,8 +114,7 @@ LABELS = (
 AUDITED = ("p_correct", "gap", "auroc", "calibration_error")
 """Of p̂ over a cell's frames: its mean, its mean minus the accuracy, and its quality."""
 
-MEASURED = ("queries", *metrics.AVERAGED, *AUDITED)
-"""A cell's numbers."""
+MEASURED = ("queries", *metrics.AVERAGED, *AUDITED)  # a cell's numbers
 
 
 def measure(trace: Trace) -> Measures:

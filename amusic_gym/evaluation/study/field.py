@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.evaluation.study.fronts import Numbers
 
-REPLICATES = 1000
-"""Of a bootstrap."""
+REPLICATES = 1000  # of a bootstrap
 
 LEVEL = 0.95
 

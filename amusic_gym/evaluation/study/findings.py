@@ -32,14 +32,9 @@ from amusic_gym.utils.storage import write_whole
 RESULTS = "study.json"
 FORMAT_VERSION = 3
 
-SHOWN_COMPUTES = (0.05, 0.1, 0.2, 0.4, 1.0)
-"""Computes at which tables show a front."""
-
-LEAST_GAP = 0.02
-"""Where single and virtual best are closer than this, there is no gap to speak of."""
-
-EVERYONE = "all of these"
-"""The rivals of a learned selector together."""
+SHOWN_COMPUTES = (0.05, 0.1, 0.2, 0.4, 1.0)  # computes at which tables show a front
+LEAST_GAP = 0.02  # where single and virtual best are closer than this, there is no gap to speak of
+EVERYONE = "all of these"  # the rivals of a learned selector together
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,11 @@ from amusic_gym.routes.motion import RECORDED
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import distinct, suggest
 
-MOST_WEIGHTS = 8
-"""λ of a learned selector's front: more would be a search for the best one."""
+MOST_WEIGHTS = 8  # λ of a learned selector's front: more would be a search for the best one
 
 SEED_COUNT = 5
 
-MEAN = "mean"
-"""In the place of a route's name: over all routes."""
+MEAN = "mean"  # in the place of a route's name: over all routes
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from amusic_gym.evaluation.study.run import Report, run
 from amusic_gym.evaluation.study.tables import write_markdown
 from amusic_gym.routes.motion import RECORDED
 
-DRAWS = 5
-"""Of every policy that draws."""
+DRAWS = 5  # of every policy that draws
 
 
 def rivals(techniques: Sequence[str]) -> list[str]:

@@ -17,8 +17,7 @@ CELLS = "cells"
 
 Row = dict[str, Any]
 
-Finished = list[Row]
-"""For each cell of a plan, in its order: its labels and its numbers."""
+Finished = list[Row]  # for each cell of a plan, in its order: its labels and its numbers
 
 Report = Callable[[str], None]
 
