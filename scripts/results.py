@@ -40,19 +40,13 @@ EVERY = 10.0  # seconds between two lines of progress
 
 @dataclass(frozen=True)
 class Study:
-    """A kind of results.
+    """A kind of results."""
 
-    Attributes:
-        routes: as `_recordings.make_banks` takes them.
-        rules: techniques → policies that the selectors stand against.
-        ships: name → policy, the selectors that ship.
-        how: further arguments of `study_rivals`.
-    """
-
-    routes: tuple[str, ...]
+    routes: tuple[str, ...]  # as `_recordings.make_banks` takes them
+    # techniques → policies that the selectors stand against
     rules: Callable[[Sequence[str]], list[str]]
-    ships: Mapping[str, str]
-    how: Mapping[str, Any]
+    ships: Mapping[str, str]  # name → policy, the selectors that ship
+    how: Mapping[str, Any]  # further arguments of `study_rivals`
 
 
 STEADY = {"ships": "ppo", "ships, may idle": "ppo:idle"}

@@ -95,10 +95,6 @@ def render(args: argparse.Namespace) -> None:
     conditions = list(dict.fromkeys(text.strip() for text in args.condition.split(",")))
     total = args.places * (1 + len(conditions))
     with Progress(True).bar("render", total, "images") as advance:
-
-        def one_more(*_: int) -> None:
-            advance(1)
-
         render_folders(
             args.out,
             conditions,
@@ -106,7 +102,7 @@ def render(args: argparse.Namespace) -> None:
             places=args.places,
             size=size,
             kind=args.kind,
-            progress=one_more,
+            progress=lambda *_: advance(1),
         )
     for name in ("reference", *conditions):
         print(f"{args.out / name}: {args.places} images")

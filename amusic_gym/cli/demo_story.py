@@ -31,19 +31,12 @@ NOT_HOPELESS = 0.2  # accuracy of a drive that fails and is worth a look
 
 
 class Tale(NamedTuple):
-    """What the study of the tours says.
+    """What the study of the tours says."""
 
-    Attributes:
-        sentences: the first on the first selector.
-        table: of every selector, with the best rival of each kind at no more compute.
-        rivals: policies that the table names.
-        weights: name of a selector → λ that is spoken of.
-    """
-
-    sentences: list[str]
-    table: Table
-    rivals: list[str]
-    weights: dict[str, float]
+    sentences: list[str]  # the first on the first selector
+    table: Table  # of every selector, with the best rival of each kind at no more compute
+    rivals: list[str]  # policies that the table names
+    weights: dict[str, float]  # name of a selector → λ that is spoken of
 
 
 def on_tours(findings: Findings, selectors: Mapping[str, str]) -> Tale:

@@ -32,11 +32,6 @@ class Traverse(NamedTuple):
     positions: Positions | None = None
 
 
-def has_positions(args: argparse.Namespace) -> bool:
-    """Whether a file of positions is named."""
-    return args.reference_positions is not None or args.query_positions is not None
-
-
 def map_of(args: argparse.Namespace, stack: ExitStack) -> Traverse:
     """The images of ``--reference``; those of a video are there until ``stack`` ends."""
     return traverse(args, args.reference, stack, args.reference_positions, 0)

@@ -9,14 +9,14 @@ learning_rate=1e-4:1e-2:log or network.hidden=32,64,128.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from amusic_gym.cli.options import MANY
 from amusic_gym.cli.parser import Parser, destination, pairs
 from amusic_gym.cli.settings import add_settings, given_settings, refuse_unused, settings_of
+from amusic_gym.cli.train import learn
 
 if TYPE_CHECKING:
     from amusic_agents.config import TrainingConfig
@@ -85,20 +85,7 @@ def main(args: argparse.Namespace) -> None:
 
 def learner(banks: Sequence[str], progress: bool) -> Learn:
     """What trains on these banks, with a teacher where the algorithm needs one."""
-    return partial(_learn, tuple(banks), progress)
-
-
-def _learn(
-    banks: Sequence[str],
-    progress: bool,
-    out: Path,
-    config: TrainingConfig,
-    resume: bool,
-    evaluated: Callable[..., Any],
-) -> None:
-    from amusic_gym.cli.train import learn
-
-    learn(out, config, banks, resume, evaluated=evaluated, progress=progress)
+    return partial(learn, banks=tuple(banks), progress=progress)
 
 
 def as_space(items: Sequence[str], config: TrainingConfig) -> Space:

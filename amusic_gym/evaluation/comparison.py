@@ -41,21 +41,15 @@ _Item = TypeVar("_Item")
 
 @dataclass(frozen=True)
 class Comparison:
-    """What came out: one trace and one row for each policy, λ and bank.
+    """What came out: one trace and one row for each policy, λ and bank."""
 
-    Attributes:
-        traces: in the order of the banks, then of the policies.
-        rows: of ``results.json``, in the same order.
-        mean: the rows averaged over banks, of those (policy, λ, statistic, carry) that every
-            bank has.
-        needs_truth: name of a policy → of what it needs ground truth.
-        images: name of a bank → its images, if it has a list of them.
-    """
-
-    traces: list[Trace]
-    rows: list[dict[str, Any]]
+    traces: list[Trace]  # in the order of the banks, then of the policies
+    rows: list[dict[str, Any]]  # of ``results.json``, in the same order
+    # the rows averaged over banks, of those (policy, λ, statistic, carry) that every bank has
     mean: list[dict[str, Any]]
+    # name of a policy → of what it needs ground truth
     needs_truth: dict[str, str] = field(default_factory=dict)
+    # name of a bank → its images, if it has a list of them
     images: dict[str, BankImages | None] = field(default_factory=dict)
 
 

@@ -24,21 +24,15 @@ MOST_TECHNIQUES = 6  # up to so many techniques all their subsets can be compare
 
 @dataclass(frozen=True)
 class Contestant:
-    """A policy in a comparison.
+    """A policy in a comparison."""
 
-    Attributes:
-        name: of the policy in tables and files.
-        make: builds it, afresh for every row.
-        compute_weights: the λ that it is run with, one row each; None: it has no such thing.
-        version: what its behaviour depends on besides its name: a digest of its weights or code.
-        needs_truth: of what it needs ground truth, if it does; tables say so.
-    """
-
-    name: str
-    make: Callable[[Context], Policy]
+    name: str  # of the policy in tables and files
+    make: Callable[[Context], Policy]  # builds it, afresh for every row
+    # the λ that it is run with, one row each; None: it has no such thing
     compute_weights: tuple[float | None, ...] = (None,)
+    # what its behaviour depends on besides its name: a digest of its weights or code
     version: str = ""
-    needs_truth: str = ""
+    needs_truth: str = ""  # of what it needs ground truth, if it does; tables say so
 
 
 def contestants(

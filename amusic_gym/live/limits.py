@@ -56,7 +56,6 @@ class Limits:
     cap_ms: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         named = ("budget_ms", "budget_fps", "budget_joules", "cap_ms")
         given = [name for name in named if getattr(self, name) is not None]
         for name in given:
@@ -154,16 +153,12 @@ class Costs:
     Args:
         runs: (T,) of a run of each technique, as declared.
         measured: whether wall times, in milliseconds, count instead once there are some.
-
-    Attributes:
-        runs: (T,) as it is expected.
-        besides: of a frame, besides its runs.
     """
 
     def __init__(self, runs: ArrayLike, measured: bool) -> None:
-        self.runs: Floats = np.array(runs, np.float64)
+        self.runs: Floats = np.array(runs, np.float64)  # (T,) as it is expected
         self.measured = measured
-        self.besides = 0.0
+        self.besides = 0.0  # of a frame, besides its runs
         self._last = [deque([cost], MEMORY) for cost in (*self.runs.tolist(), 0.0)]
 
     def of(self, subsets: Flags) -> Any:
@@ -189,9 +184,6 @@ class Keeper:
     λ is steered so that frames cost the budget on average: ln λ integrates what they cost too much
     or too little. Where that alone leaves the average over the last `WINDOW` frames, those before
     the first taken to be at the budget, off by more than `MARGIN`, the choice itself is changed.
-
-    Attributes:
-        weight: λ for the next frame.
     """
 
     def __init__(
@@ -199,6 +191,7 @@ class Keeper:
     ) -> None:
         self.budget = limits.budget
         self.cap = math.inf if limits.cap_ms is None else limits.cap_ms
+        # λ for the next frame
         self.weight = float(np.clip(weight, *COMPUTE_WEIGHT_RANGE)) if self.budget else weight
         self.clock, self.charged = clock, charged
         self._policy = policy
@@ -206,11 +199,9 @@ class Keeper:
         self._spent = deque([self.budget or 0.0] * WINDOW, WINDOW)
 
     def choose(self, wanted: Flags, observation: NDArray[np.float32]) -> Flags:
-        """What runs (T,) in place of what the policy wants.
+        """What runs (T,) in place of what the policy wants (T,) after an observation (1, D).
 
-        Args:
-            wanted: (T,).
-            observation: (1, D) that it was chosen for; a `Rater` is asked for its next best.
+        A `Rater` is asked for its next best.
         """
         chosen = self._within(wanted, observation)
         self._refused = float(self.charged.of(wanted) - self.charged.of(chosen))

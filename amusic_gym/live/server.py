@@ -24,13 +24,14 @@ class AnswerServer(Closing):
 
     Attributes:
         url: of the page.
+        last: the last answer; empty before the first.
 
     Raises:
         OSError: where that cannot be listened on.
     """
 
     def __init__(self, port: int, host: str = "127.0.0.1") -> None:
-        self._last, self._number = b"", 0
+        self.last, self._number = b"", 0
         self._changed = threading.Condition()
         self._ended = False
         self._server = _Server((host, port), _Handler)
@@ -42,12 +43,8 @@ class AnswerServer(Closing):
     def put(self, answer: dict[str, Any]) -> None:
         """Publish a frame's answer."""
         with self._changed:
-            self._last, self._number = line(answer).encode(), self._number + 1
+            self.last, self._number = line(answer).encode(), self._number + 1
             self._changed.notify_all()
-
-    def last(self) -> bytes:
-        """The last answer; empty before the first."""
-        return self._last
 
     def after(self, number: int) -> tuple[int, bytes] | None:
         """The last answer and its number, once there is a later one; empty after `ALIVE` seconds.
@@ -58,7 +55,7 @@ class AnswerServer(Closing):
         with self._changed:
             self._changed.wait_for(lambda: self._ended or self._number > number, ALIVE)
             if self._number > number:
-                return self._number, self._last
+                return self._number, self.last
             return None if self._ended else (number, b"")
 
     def close(self) -> None:
@@ -84,13 +81,12 @@ class _Handler(BaseHTTPRequestHandler):
     server: _Server
 
     def do_GET(self) -> None:  # noqa: N802
-        """Answer a request."""
         answers, path = self.server.answers, self.path.partition("?")[0]
         if path == "/":
             page = files("amusic_gym.live").joinpath("page.html").read_bytes()
             self._send(200, "text/html; charset=utf-8", page)
         elif path == "/last":
-            last = answers.last()
+            last = answers.last
             self._send(200 if last else 204, "application/json", last)
         elif path == "/events":
             self._begin(200, "text/event-stream")

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_baselines.arguments import whole
-from amusic_baselines.scores import RADIUS, every_row, scaled
+from amusic_baselines.scores import RADIUS, rows_of, scaled
 from amusic_gym.policies.protocol import Context, Run
 from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
@@ -58,7 +58,7 @@ class DynamicFusion:
 
     def locate(self, frame: int, run: Run) -> tuple[int, float]:
         """Peak of the chosen subset's summed scores, and its clearness."""
-        rows = scaled(every_row(run, self._subsets.shape[1]))
+        rows = scaled(rows_of(run, range(self._subsets.shape[1])))
         peak, clear = clearness(self._subsets @ rows, self.radius)
         chosen = int(clear.argmax())
         return int(peak[chosen]), float(clear[chosen])

@@ -20,11 +20,7 @@ class Oracle:
     """Runs the cheapest technique after which the fused prediction is right, given what ran so far.
 
     Where none is right, the cheapest technique runs. It knows scores and ground truth beforehand,
-    from the constructor alone.
-
-    Args:
-        bank: scores and ground truth of the route.
-        settings: of SIC and MuSIC.
+    from the bank that it is made with.
     """
 
     def __init__(self, bank: ScoreBank, settings: SICSettings) -> None:

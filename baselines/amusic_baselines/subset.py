@@ -14,11 +14,7 @@ from amusic_gym.policies.registry import FIXED, RegisteredPolicy
 
 
 class Subset:
-    """Runs the same techniques on every frame.
-
-    Args:
-        columns: their indices.
-    """
+    """Runs the same techniques, whose indices are ``columns``, on every frame."""
 
     needs = Needs()
 

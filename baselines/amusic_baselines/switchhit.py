@@ -48,9 +48,7 @@ class Experience:
     def of(cls, banks: Sequence[ScoreBank], *, pooled: bool = False) -> Experience:
         """Learn from labelled routes with the same techniques in the same order.
 
-        Args:
-            banks: the routes.
-            pooled: one curve for all techniques instead of one for each.
+        ``pooled`` gives one curve for all techniques instead of one for each.
 
         Raises:
             ValueError: for no bank, or different techniques.

@@ -97,8 +97,7 @@ class ValueOfInformation:
             frame: (N,) last frame of each route, -1 before the first.
         """
         age = np.maximum(frame[:, None] - self._last, 0)
-        promise: NDArray[np.float64] = 1.0 - (1.0 - self._record) * self.lasting**age
-        return promise
+        return 1.0 - (1.0 - self._record) * self.lasting**age
 
     def _begin(self, present: NDArray[np.bool_]) -> None:
         """Start the records of routes that have just begun."""
@@ -110,7 +109,6 @@ class ValueOfInformation:
         self._fresh[:] = False
 
     def _note(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> None:
-        """Take in the last frame."""
         routes, slots = info["present"].shape
         groups = observation[:, : slots * self._features].reshape(routes, slots, -1)
         estimate = info["p_correct"][:, None]

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,30 +32,19 @@ FORM = "BACK/AHEAD/DELTA"
 FARTHEST = 10_000
 
 
+@dataclass(eq=False)
 class TopologicalFilter:
-    """Runs the same techniques on every frame; the place is the mean around the belief's peak.
+    """Runs the same techniques on every frame; the place is the mean around the belief's peak."""
 
-    Args:
-        columns: indices of the techniques that run.
-        back: most places backward per frame.
-        ahead: most places forward per frame.
-        delta: likelihood of the best places over the worst, by the span of a technique's first row.
-    """
-
-    def __init__(
-        self,
-        columns: Sequence[int],
-        back: int = BACK,
-        ahead: int = AHEAD,
-        delta: float = DELTA,
-    ) -> None:
-        self.columns = columns
-        self.back = back
-        self.moves = back + ahead + 1
-        self.delta = delta
+    columns: Sequence[int]  # indices of the techniques that run
+    back: int = BACK  # most places backward per frame
+    ahead: int = AHEAD  # most places forward per frame
+    # likelihood of the best places over the worst, by the span of a technique's first row
+    delta: float = DELTA
 
     def reset(self, references: int, techniques: int) -> None:
         """Know nothing of the place, nor of the spans of the scores."""
+        self.moves = self.back + self.ahead + 1
         self._belief = np.full(references, 1.0 / references)  # (R,)
         self._rates = np.zeros((len(self.columns), 1))  # λ, of techniques with a row so far
 

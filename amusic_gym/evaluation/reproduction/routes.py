@@ -22,17 +22,11 @@ SMALL = 100  # images with a side of fewer pixels are not the paper's
 
 @dataclass(frozen=True)
 class Route:
-    """A data set of the paper.
+    """A data set of the paper."""
 
-    Attributes:
-        name: of the data set.
-        found: its images and what is true; None where its folders are not there.
-        remarks: what differs from the paper, or what is missing.
-    """
-
-    name: str
-    found: LoadedRoute | None
-    remarks: tuple[str, ...]
+    name: str  # of the data set
+    found: LoadedRoute | None  # its images and what is true; None where its folders are not there
+    remarks: tuple[str, ...]  # what differs from the paper, or what is missing
 
 
 def load(name: str, root: str | os.PathLike[str]) -> tuple[LoadedRoute, tuple[str, ...]]:

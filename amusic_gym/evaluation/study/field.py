@@ -30,21 +30,13 @@ class Point(NamedTuple):
 
 @dataclass(frozen=True)
 class Field:
-    """P points on R routes with S seeds; nan where a point is not on a route.
+    """P points on R routes with S seeds; nan where a point is not on a route."""
 
-    Attributes:
-        points: P.
-        routes: R names.
-        auc: (P, R, S).
-        compute: (P, R, S).
-        varied: (P,) whether seeds make a difference.
-    """
-
-    points: tuple[Point, ...]
-    routes: tuple[str, ...]
-    auc: Numbers
-    compute: Numbers
-    varied: NDArray[np.bool_]
+    points: tuple[Point, ...]  # P
+    routes: tuple[str, ...]  # R names
+    auc: Numbers  # (P, R, S)
+    compute: Numbers  # (P, R, S)
+    varied: NDArray[np.bool_]  # (P,) whether seeds make a difference
 
     @classmethod
     def of(cls, cells: Sequence[Mapping[str, Any]], routes: Sequence[str], seeds: int) -> Field:

@@ -39,30 +39,19 @@ EVERYONE = "all of these"  # the rivals of a learned selector together
 
 @dataclass(frozen=True)
 class Findings:
-    """What came out of a study; rows of plain values.
+    """What came out of a study; rows of plain values."""
 
-    Attributes:
-        settings: what was run, and how the numbers were reckoned.
-        routes: as in the plan.
-        cells: labels and numbers of every cell.
-        points: a policy with one λ under one condition, on one route or their ``mean``.
-        fronts: of the fixed subsets, of every family of rules, of every other policy.
-        margins: of every learned selector over its rivals.
-        matches: of every point of a learned selector with the best point of each kind of rival at
-            no more compute.
-        audit: p̂ against the truth, of every policy or family that gives p̂.
-        warnings: what must not be overlooked.
-    """
-
-    settings: Row
-    routes: list[Row]
-    cells: list[Row]
-    points: list[Row]
-    fronts: list[Row]
-    margins: list[Row]
+    settings: Row  # what was run, and how the numbers were reckoned
+    routes: list[Row]  # as in the plan
+    cells: list[Row]  # labels and numbers of every cell
+    points: list[Row]  # a policy with one λ under one condition, on one route or their ``mean``
+    fronts: list[Row]  # of the fixed subsets, of every family of rules, of every other policy
+    margins: list[Row]  # of every learned selector over its rivals
+    # of every point of a learned selector with the best point of each kind of rival at no
+    # more compute
     matches: list[Row]
-    audit: list[Row]
-    warnings: list[str]
+    audit: list[Row]  # p̂ against the truth, of every policy or family that gives p̂
+    warnings: list[str]  # what must not be overlooked
 
     def write(self, folder: str | Path) -> Path:
         """Write `RESULTS`, whole or not at all."""

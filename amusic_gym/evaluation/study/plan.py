@@ -30,43 +30,29 @@ MEAN = "mean"  # in the place of a route's name: over all routes
 
 @dataclass(frozen=True)
 class Entrant:
-    """A policy of a study, or several runs of one training, which are its seeds.
+    """A policy of a study, or several runs of one training, which are its seeds."""
 
-    Attributes:
-        name: in tables.
-        family: of `FAMILIES`.
-        contestants: one, or one for each seed. What makes them must pickle.
-        statistic: SIC's, if it is not the study's.
-        draws: whether the policy draws: then it has a cell per seed even as recorded.
-        needs_truth: of what it needs ground truth, if it does; tables say so.
-    """
-
-    name: str
-    family: str
-    contestants: tuple[Contestant, ...]
-    statistic: str | None = None
-    draws: bool = False
-    needs_truth: str = ""
+    name: str  # in tables
+    family: str  # of `FAMILIES`
+    contestants: tuple[Contestant, ...]  # one, or one for each seed. What makes them must pickle
+    statistic: str | None = None  # SIC's, if it is not the study's
+    draws: bool = False  # whether the policy draws: then it has a cell per seed even as recorded
+    needs_truth: str = ""  # of what it needs ground truth, if it does; tables say so
 
 
 @dataclass(frozen=True)
 class Plan:
-    """All that a study has to do.
+    """All that a study has to do."""
 
-    Attributes:
-        bench: the recordings, for workers.
-        cells: in the order of tables: routes, conditions, seeds, policies.
-        routes: of each recording ``bank`` (its name), ``queries``, ``references``, ``techniques``,
-            ``seconds`` and ``cheapest``, the least compute of a policy that always runs one.
-        settings: ``conditions``; ``seeds`` of motions, of policies that draw, and numbers of
-            trainings; ``statistic``, ``carry`` and ``discount`` of policies that do not bring their
-            own; ``costs``, the cost model; ``needs_truth``: name of an entrant → of what it needs
-            ground truth.
-    """
-
-    bench: Bench
-    cells: tuple[Cell, ...]
+    bench: Bench  # the recordings, for workers
+    cells: tuple[Cell, ...]  # in the order of tables: routes, conditions, seeds, policies
+    # of each recording ``bank`` (its name), ``queries``, ``references``, ``techniques``,
+    # ``seconds`` and ``cheapest``, the least compute of a policy that always runs one
     routes: tuple[dict[str, Any], ...]
+    # ``conditions``; ``seeds`` of motions, of policies that draw, and numbers of trainings;
+    # ``statistic``, ``carry`` and ``discount`` of policies that do not bring their own;
+    # ``costs``, the cost model; ``needs_truth``: name of an entrant → of what it needs
+    # ground truth
     settings: dict[str, Any]
 
 
