@@ -250,9 +250,6 @@ def spread(items: Sequence[_Item], count: int) -> list[_Item]:
     return [items[round(i * (len(items) - 1) / steps)] for i in range(count)]
 
 
-# ---- table ---------------------------------------------------------------------------------
-
-
 SHOWN = (
     *("accuracy", "auc", "auc_vprbench", "auc_paper", *metrics.RECALLS),
     *("recall_at_100_precision", "ptr", "compute", "reselections", "lost"),

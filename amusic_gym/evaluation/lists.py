@@ -15,15 +15,9 @@ COLUMNS = ("query", "rank", "place", "correct")
 
 
 def write_lists(path: str | Path, bank: ScoreBank, trace: Trace, count: int) -> Path:
-    """Write a line per query and rank, from 1, with the columns `COLUMNS`; whole, or not at all.
+    """Write a line per query and rank, 1 to ``count`` at most, whole or not at all.
 
-    What is ranked is said in `amusic_gym.banks.ranking`.
-
-    Args:
-        path: the file.
-        bank: that the trace is of.
-        trace: of any policy.
-        count: places per query at most.
+    The columns are `COLUMNS`; what is ranked is said in `amusic_gym.banks.ranking`.
     """
     text = io.StringIO()
     writer = CsvWriter(text)

@@ -42,12 +42,7 @@ class Table:
 
 
 def marked(policy: str, needs_truth: Mapping[str, str]) -> str:
-    """The policy's name, with the mark if it needs ground truth.
-
-    Args:
-        policy: its name.
-        needs_truth: name of a policy → of what it needs ground truth.
-    """
+    """The policy's name, with the mark if ``needs_truth`` says of what it needs ground truth."""
     return f"{policy} {MARK}" if policy in needs_truth else policy
 
 
@@ -56,10 +51,6 @@ def footnote(shown: Iterable[str], needs_truth: Mapping[str, str]) -> str:
 
     >>> footnote(["music", "oracle"], {"oracle": "of the route itself"})
     '† has seen ground truth: oracle of the route itself.'
-
-    Args:
-        shown: names of the policies that the table shows.
-        needs_truth: name of a policy → of what it needs ground truth.
     """
     needed = [f"{who} {needs_truth[who]}" for who in dict.fromkeys(shown) if who in needs_truth]
     return f"{MARK} has seen ground truth: {'; '.join(needed)}." if needed else ""

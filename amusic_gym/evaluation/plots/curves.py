@@ -132,13 +132,18 @@ def _identity(trace: Trace) -> tuple[str, float | None]:
     return trace.policy, trace.compute_weight
 
 
-def _line(trace: Trace, traces: Sequence[Trace]) -> Any:
-    """The line of a selector's curve by its compute weight; None for other policies."""
+def _place(trace: Trace, traces: Sequence[Trace]) -> float | None:
+    """Where its λ stands among those of the policy, in [0, 1]; None where it is the only one."""
     weights = sorted(w for p, w in map(_identity, traces) if p == trace.policy and w is not None)
     if trace.compute_weight is None or len(weights) < 2:
         return None
-    place = weights.index(trace.compute_weight) / (len(weights) - 1)
-    return SHADES[round(place * (len(SHADES) - 1))]
+    return weights.index(trace.compute_weight) / (len(weights) - 1)
+
+
+def _line(trace: Trace, traces: Sequence[Trace]) -> Any:
+    """The line of a selector's curve by its compute weight; None for other policies."""
+    place = _place(trace, traces)
+    return None if place is None else SHADES[round(place * (len(SHADES) - 1))]
 
 
 def _curve_colours(traces: Sequence[Trace]) -> dict[tuple[str, float | None], Any]:
@@ -150,11 +155,8 @@ def _curve_colours(traces: Sequence[Trace]) -> dict[tuple[str, float | None], An
     for trace in traces:
         policy, argument = parse(trace.policy)
         if trace.compute_weight is not None:
-            weights = sorted(
-                w for p, w in map(_identity, traces) if p == trace.policy and w is not None
-            )
-            place = np.searchsorted(weights, trace.compute_weight) / max(1, len(weights) - 1)
-            colours[_identity(trace)] = tint(sweeps[trace.policy], 0.45 + 0.55 * float(place))
+            place = _place(trace, traces) or 0.0
+            colours[_identity(trace)] = tint(sweeps[trace.policy], 0.45 + 0.55 * place)
         else:
             colours[_identity(trace)] = policy.colour or techniques.get(argument or "", GREY)
     return colours

@@ -15,11 +15,7 @@ from amusic_gym.utils.colours import CORRECT_COLOUR, WRONG_COLOUR
 def draw_matches(bank: ScoreBank, here: Positions, there: Positions, path: str | Path) -> Path:
     """For each technique, whether its row alone ranks a true place first, and a line where not.
 
-    Args:
-        bank: scores and ground truth.
-        here: R positions of the map.
-        there: Q positions of the run.
-        path: the PNG file.
+    ``here`` are the R positions of the map, ``there`` the Q of the run; ``path`` is a PNG file.
     """
     from matplotlib.collections import LineCollection
 

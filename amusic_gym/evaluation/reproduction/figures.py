@@ -112,13 +112,7 @@ def drives(traces: Sequence[Trace], out: Path) -> Iterator[ReportFigure]:
 def one_drive(
     traces: Sequence[Trace], parts: Sequence[tuple[int, str]], path: Path
 ) -> ReportFigure:
-    """Figure 7 of the data sets in one drive.
-
-    Args:
-        traces: of the drive.
-        parts: first frame and data set of each part.
-        path: of the PNG.
-    """
+    """Figure 7 of the data sets in one drive; ``parts``: first frame and data set of each."""
     adaptive = [trace for trace in traces if trace.policy == METHODS["A-MuSIC"]]
     named = [(first, TITLES[name]) for first, name in parts]
     return both(

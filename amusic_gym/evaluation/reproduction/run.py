@@ -5,19 +5,20 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import accumulate
 from pathlib import Path
-from typing import Any
 
 from amusic_gym.evaluation.comparison import compare
 from amusic_gym.evaluation.contestants import contestants
 from amusic_gym.evaluation.report import ReportFigure, write_report
 from amusic_gym.evaluation.reproduction import figures, sweeps, tables
 from amusic_gym.evaluation.reproduction.paper import METHODS, TECHNIQUES, TITLES
-from amusic_gym.evaluation.reproduction.routes import extracted, find, joined
+from amusic_gym.evaluation.reproduction.routes import extracted, joined, load
 from amusic_gym.evaluation.tables import Table
 from amusic_gym.policies.trace import Trace
 from amusic_gym.routes.datasets import LoadedRoute
+from amusic_gym.techniques import make_technique
 from amusic_gym.utils.storage import write_whole
 
 SHIPS = ("calc", "netvlad")
@@ -55,21 +56,33 @@ def reproduce(
     weights = dict(weights or {})
     ships = [f"weights of {name} that ship" for name in SHIPS if name not in weights]
     remarks: dict[str, Sequence[str]] = dict.fromkeys(TITLES, ("not asked for",))
-    routes = [find(name, root) for name in datasets]
-    for route in routes:  # before hours of work
-        remarks[route.name] = (*route.remarks, *(ships if route.found is not None else []))
-        report(f"{TITLES[route.name]}: {'; '.join(remarks[route.name]) or 'as in the paper'}")
-    there = [route.found for route in routes if route.found is not None]
+    there = []
+    for name in datasets:  # before hours of work
+        try:
+            found, differs = load(name, root)
+            there.append(found)
+            remarks[name] = [*differs, *ships]
+        except FileNotFoundError as error:
+            remarks[name] = [str(error)]
+        report(f"{TITLES[name]}: {'; '.join(remarks[name]) or 'as in the paper'}")
     if not there:
-        raise FileNotFoundError(f"none of the data sets is there: {routes[0].remarks[0]}")
-    names = [name.lower() for name in TECHNIQUES]
-    how: dict[str, Any] = {"weights": weights, "cache": cache, "executor": executor}
-    banks = [extracted(found, out / "banks", techniques=names, **how) for found in there]
+        raise FileNotFoundError(f"none of the data sets is there: {remarks[datasets[0]][0]}")
+    techniques = [make_technique(name, weights.get(name)) for name in map(str.lower, TECHNIQUES)]
+    bank_of = partial(
+        extracted, out=out / "banks", techniques=techniques, cache=cache, executor=executor
+    )
+    banks = [bank_of(found) for found in there]
 
     paper = compare(
         banks, lambda _: contestants([*METHODS.values()]), out, statistic="mean", report=report
     )
-    drive = _driven_in_one(there, out, how, report)
+    drive = []  # of a single data set there is none
+    if len(there) > 1:
+        whole = bank_of(joined(there))
+        made = contestants([*METHODS.values()])
+        drive = compare(
+            [whole], lambda _: made, out / whole.name, statistic="mean", report=report
+        ).traces
     swept = compare(
         banks,
         lambda _: contestants(sweeps.ADAPTIVE),
@@ -108,22 +121,6 @@ def reproduce(
         ],
         tables=shown,
     )
-
-
-def _driven_in_one(
-    there: Sequence[LoadedRoute],
-    out: Path,
-    how: Mapping[str, Any],
-    report: Callable[[str], None],
-) -> list[Trace]:
-    """Traces of all methods along the data sets as one drive; of a single one there is none."""
-    if len(there) < 2:
-        return []
-    names = [name.lower() for name in TECHNIQUES]
-    bank = extracted(joined(there), out / "banks", techniques=names, **how)
-    made = contestants([*METHODS.values()])
-    driven = compare([bank], lambda _: made, out / bank.name, statistic="mean", report=report)
-    return list(driven.traces)
 
 
 def _drawn_in_one(

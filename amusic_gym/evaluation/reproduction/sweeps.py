@@ -31,7 +31,11 @@ def ablate(banks: Sequence[ScoreBank]) -> Iterator[dict[str, Any]]:
     for candidates in CANDIDATES:
         for history in HISTORIES:
             settings = SICSettings("mean", candidates=candidates, history=history)
-            runs = [_corrected(bank, t, settings) for bank in banks for t in _techniques(bank)]
+            runs = [
+                _corrected(bank, technique, settings)
+                for bank in banks
+                for technique in range(len(bank.techniques))
+            ]
             accuracy, milliseconds = np.array(runs).T
             yield {
                 "candidates": candidates,
@@ -39,10 +43,6 @@ def ablate(banks: Sequence[ScoreBank]) -> Iterator[dict[str, Any]]:
                 "accuracy": float(accuracy.mean()),
                 "milliseconds": float(np.median(milliseconds)),
             }
-
-
-def _techniques(bank: ScoreBank) -> range:
-    return range(len(bank.techniques))
 
 
 def _corrected(bank: ScoreBank, technique: int, settings: SICSettings) -> tuple[float, float]:

@@ -25,11 +25,7 @@ Measures = dict[str, Any]
 
 
 class Bench:
-    """What a worker holds to run cells.
-
-    Args:
-        banks: the recordings.
-    """
+    """What a worker holds to run cells: the recordings."""
 
     name = "study"  # as executors call what they hand to their workers
 

@@ -40,14 +40,9 @@ class Field:
 
     @classmethod
     def of(cls, cells: Sequence[Mapping[str, Any]], routes: Sequence[str], seeds: int) -> Field:
-        """The field of the cells of one condition.
+        """The field of the cells of one condition, those of a point and route by seed, S of them.
 
         A cell that no seed changes stands for all of them.
-
-        Args:
-            cells: labels and numbers, those of a point and route in the order of the seeds.
-            routes: R names.
-            seeds: S.
         """
         groups: dict[Point, dict[str, list[Mapping[str, Any]]]] = {}
         for cell in cells:

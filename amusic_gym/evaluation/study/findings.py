@@ -61,13 +61,10 @@ class Findings:
 
 
 def find(plan: Plan, finished: Finished, *, rivals: Iterable[str] = ()) -> Findings:
-    """Reckon everything from a study's cells.
+    """Reckon everything from all cells of a study.
 
-    Args:
-        plan: of the study.
-        finished: all its cells.
-        rivals: names of learned selectors that the others must beat, for example an imitation of
-            the cascade; the families of `FRONTS` are rivals anyway.
+    ``rivals`` are names of learned selectors that the others must beat, for example an imitation
+    of the cascade; the families of `FRONTS` are rivals anyway.
     """
     rivals = tuple(rivals)
     names = [route["bank"] for route in plan.routes]
@@ -99,9 +96,6 @@ def find(plan: Plan, finished: Finished, *, rivals: Iterable[str] = ()) -> Findi
         audit=[row for row, _ in audits],
         warnings=[line for _, line in audits if line is not None],
     )
-
-
-# ---- points, fronts, margins -----------------------------------------------------------------
 
 
 class _Scope:
@@ -181,7 +175,7 @@ class _Scope:
                     "family": own.points[0].family,
                     "points": len(own.points),
                     "begins": float(compute.min()),
-                    "auc_at": _numbers(front_at(compute, auc, SHOWN_COMPUTES)),
+                    "auc_at": [_number(v) for v in front_at(compute, auc, SHOWN_COMPUTES)],
                     "cheapest": self.cheapest,
                     "hypervolume": _number(hypervolume(compute, auc, self.cheapest)),
                     "hypervolume_interval": interval(volumes) if varied else None,
@@ -322,7 +316,3 @@ def _gap(row: Row, fixed: Sequence[Row]) -> float | None:
 
 def _number(value: Any) -> float | None:
     return None if np.isnan(value) else float(value)
-
-
-def _numbers(values: Numbers) -> list[float | None]:
-    return [_number(value) for value in values]

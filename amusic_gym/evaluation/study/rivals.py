@@ -76,18 +76,18 @@ def study_rivals(
     draws: int | None = None,
     report: Report = lambda line: None,
 ) -> Findings:
-    """Selectors against all fixed subsets and rules; ``out`` keeps what is finished.
+    """Selectors against all fixed subsets and rules; see `make_plan` and `run`.
 
     Args:
         banks: with the same techniques and cost model.
         selectors: name → policies, one for all draws or one for each.
-        out: the folder.
+        out: the folder, which keeps what is finished.
         executor: as `run` takes it.
         policies: the rules; by default `rivals`.
-        statistic: of what does not bring its own.
-        conditions: motions along the banks.
+        statistic: as `make_plan` takes it.
+        conditions: likewise.
         draws: of policies that draw and of motions; by default `DRAWS`.
-        report: is given one line per finished cell.
+        report: as `run` takes it.
     """
     lineup = Lineup(
         policies=tuple(rivals(banks[0].techniques) if policies is None else policies),
