@@ -80,17 +80,10 @@ class Material:
     def stepper(
         self, env: Any, actions: Iterator[Any], start: Any, behind: int
     ) -> Callable[[], object]:
-        """A route played and checked, begun again and brought to where timing starts.
+        """A route played and checked, begun again at ``start`` and brought to where timing starts.
 
-        Args:
-            env: single or vector.
-            actions: of the steps.
-            start: query at which each route begins.
-            behind: times the timed frames sooner: of two sides on the same frames, the second
-                would find their rows in the cache.
-
-        Returns:
-            What steps through the frames of one round.
+        With ``behind`` 1 that is sooner by the timed frames: of two sides on the same frames, the
+        second would find their rows in the cache. What is returned steps through one round.
         """
         sizes = self.sizes
 
@@ -196,10 +189,7 @@ def stream(rows: Any, windows: Any) -> None:
 def standardised(rows: NDArray[np.float32]) -> NDArray[np.float64]:
     """Rows (Q, R) less their mean, over their population σ."""
     wide = rows.astype(np.float64)
-    z: NDArray[np.float64] = (wide - wide.mean(axis=1, keepdims=True)) / wide.std(
-        axis=1, keepdims=True
-    )
-    return z
+    return (wide - wide.mean(axis=1, keepdims=True)) / wide.std(axis=1, keepdims=True)
 
 
 def gather(
@@ -214,15 +204,10 @@ def gather(
     on_map = top[:, None] >= ages  # (K, F)
     flat = (frame * z.shape[1] + top)[:, None] - ages * (z.shape[1] + 1)
     terms = np.where(on_map, z.ravel().take(flat, mode="wrap"), 0.0)
-    statistics: NDArray[np.float64] = terms.sum(axis=1) / np.sqrt(on_map.sum(axis=1))
-    return statistics
+    return terms.sum(axis=1) / np.sqrt(on_map.sum(axis=1))
 
 
 def same(what: str, got: float, want: float, relative: float) -> None:
-    """Refuse to time what is wrong.
-
-    Raises:
-        RuntimeError: if the two differ by more than ``relative``.
-    """
+    """Refuse to time what is wrong: what differs by more than ``relative``."""
     if not math.isclose(got, want, rel_tol=relative, abs_tol=relative):
         raise RuntimeError(f"{what} is {got}, but NumPy says {want}: nothing wrong is timed")

@@ -86,8 +86,7 @@ def sic_fit(samples: Samples, *, rival: bool) -> list[float]:
 
 def rounded(coefficients: NDArray[np.float64]) -> list[float]:
     """As the package's file has them."""
-    found: list[float] = np.round(coefficients, 4).tolist()
-    return found
+    return np.round(coefficients, 4).tolist()
 
 
 def calibrate(banks: list[ScoreBank], statistic: str, seed: int) -> dict[str, list[float]]:

@@ -49,11 +49,8 @@ def draw_reliability(
 ) -> Path:
     """Draw share right against mean p̂; no intervals, as frames of one drive are not independent.
 
-    Args:
-        curves: name → ``predicted``, ``observed`` (None in empty bins) and ``counts``, each (B,);
-            at most two.
-        title: of the figure.
-        path: the PNG to write.
+    ``curves``, two at most: name → ``predicted``, ``observed`` (None in empty bins) and ``counts``,
+    each (B,).
     """
     with figure_at(path, 6.4, 7.0) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.4, 1])

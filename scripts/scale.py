@@ -66,12 +66,7 @@ QUICK = Sizes(
 
 
 class Measured:
-    """Rows in a folder, each measured once.
-
-    Args:
-        out: the folder.
-        total: of rows, for the bar.
-    """
+    """Rows in the folder ``out``, each measured once; ``total`` of them, for the bar."""
 
     def __init__(self, out: Path, total: int) -> None:
         self._folder = out / "cells"

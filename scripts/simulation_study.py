@@ -51,8 +51,7 @@ def corrected(bank: ScoreBank, statistic: str) -> NDArray[np.int64]:
     env = TechniqueSelectionVectorEnv(len(alone), bank, statistic=statistic)
     env.reset(seed=0)
     infos = [env.step(alone)[-1] for _ in range(bank.queries)]
-    places: NDArray[np.int64] = np.stack([info["prediction"] for info in infos], axis=1)
-    return places
+    return np.stack([info["prediction"] for info in infos], axis=1)
 
 
 def measure(banks: Sequence[ScoreBank]) -> Rows:
@@ -69,8 +68,7 @@ def measure(banks: Sequence[ScoreBank]) -> Rows:
 def column(rows: Rows, key: str) -> NDArray[np.float64]:
     """One measure over all rows that have it."""
     values = np.array([row[key] for row in rows.values()])
-    finite: NDArray[np.float64] = values[np.isfinite(values)]
-    return finite
+    return values[np.isfinite(values)]
 
 
 def print_table(simulated: Rows, real: Rows) -> None:

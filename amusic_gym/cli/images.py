@@ -20,6 +20,8 @@ from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import few
 
 if TYPE_CHECKING:
+    from amusic_gym.banks.bank import ScoreBank
+    from amusic_gym.routes.tours import Tour
     from amusic_gym.techniques import Technique
 
 _NAMED = 3  # damaged images that a warning names before it only counts
@@ -125,6 +127,21 @@ def techniques_of(
     made = [make_technique(spec, files.get(spec), **how) for spec in specs]
     names = [*(technique.name for technique in made), *others]
     return made, numbers(by_technique(args.seconds, names, "--seconds"), "--seconds")
+
+
+def extract_tour(tour: Tour, techniques: Any, tolerance: int, **options: Any) -> ScoreBank:
+    """A tour's bank; ``techniques`` and ``options`` are those of `extract`."""
+    from amusic_gym.extraction import extract
+
+    return extract(
+        tour.reference,
+        tour.query,
+        techniques,
+        tolerance=tolerance,
+        ground_truth=tour.ground_truth(tolerance),
+        source=tour.source,
+        **options,
+    )
 
 
 def tell(path: Path | None, shape: tuple[int, int, int]) -> None:
