@@ -8,21 +8,19 @@ import warnings
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.cli.parser import by_technique, numbers
 from amusic_gym.extraction.progress import Progress
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.position_files import EXIF, positions_of, read_track
 from amusic_gym.routes.positions import Positions
+from amusic_gym.routes.tours import Tour
 from amusic_gym.routes.video_frames import frames_of
+from amusic_gym.techniques import Technique, make_technique
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import few
-
-if TYPE_CHECKING:
-    from amusic_gym.banks.bank import ScoreBank
-    from amusic_gym.routes.tours import Tour
-    from amusic_gym.techniques import Technique
 
 _NAMED = 3  # damaged images that a warning names before it only counts
 
@@ -120,8 +118,6 @@ def techniques_of(
 
     ``others`` are names of techniques that do not run here, and may have seconds.
     """
-    from amusic_gym.techniques import make_technique
-
     specs, files = specs_of(args)
     how = {"device": args.device, "trust": args.trust}
     made = [make_technique(spec, files.get(spec), **how) for spec in specs]

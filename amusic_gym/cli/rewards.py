@@ -9,16 +9,21 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from tqdm import tqdm
 
+from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.cli.parser import Parser, add_statistic, correction_of, destination
-
-if TYPE_CHECKING:
-    from amusic_gym.banks.bank import ScoreBank
-    from amusic_gym.evaluation.tables import Table
+from amusic_gym.envs.sources import ordinary
+from amusic_gym.evaluation.contestants import check_weights
+from amusic_gym.evaluation.rollout import Job
+from amusic_gym.evaluation.tables import Table
+from amusic_gym.policies.protocol import Context, Selector
+from amusic_gym.utils.checks import whole
+from amusic_gym.utils.storage import write_whole
 
 POLICIES = ("random:0", "random:0.5", "music", "cascade", "voi", "amusic:evidence", "ppo")
 """The cheapest technique, any, all, rules that look, and the selector that ships."""
@@ -53,11 +58,6 @@ def main(args: argparse.Namespace) -> None:
     """Print a table of rewards and one of true rewards."""
     from amusic_agents.evaluation import held_out_routes
 
-    from amusic_gym.envs.sources import ordinary
-    from amusic_gym.evaluation.contestants import check_weights
-    from amusic_gym.utils.checks import whole
-    from amusic_gym.utils.storage import write_whole
-
     how = correction_of(args)
     weights = check_weights(args.compute_weight)
     banks = held_out_routes(ordinary(how["statistic"]), whole("--routes", args.routes, 2))
@@ -80,10 +80,6 @@ def reference_rewards(
     """Rewards per frame of each policy, (2, B, L): by p̂, and by what is true."""
     from amusic_agents.evaluation import measure
     from amusic_baselines import make_policy
-    from tqdm import tqdm
-
-    from amusic_gym.evaluation.rollout import Job
-    from amusic_gym.policies.protocol import Context, Selector
 
     def selector(name: str, bank: ScoreBank) -> Selector:
         policy = make_policy(name, Context.of(bank, seed=seed, **how))
@@ -111,8 +107,6 @@ def tables(
     found: dict[str, NDArray[np.float64]], weights: Sequence[float], frames: float
 ) -> list[Table]:
     """Mean rewards over the routes by λ, then what of them is true."""
-    from amusic_gym.evaluation.tables import Table
-
     heads = ["policy", *(f"λ {weight:g}" for weight in weights)]
     shown = []
     for kind, title in enumerate(KINDS):

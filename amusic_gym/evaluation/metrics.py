@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-if TYPE_CHECKING:
-    from amusic_gym.policies.trace import Trace
+from amusic_gym.policies.trace import Trace
 
 LOST_FRAMES = 5  # a run of at least so many wrong frames in a row counts as being lost
 CALIBRATION_BINS = 15

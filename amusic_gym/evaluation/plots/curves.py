@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,8 @@ from amusic_gym.evaluation.audit import held
 from amusic_gym.evaluation.plots import labels
 from amusic_gym.evaluation.plots.drawing import GREY, INK, figure_at, only, percent
 from amusic_gym.policies.registry import parse
+from amusic_gym.policies.trace import Trace
 from amusic_gym.utils.colours import CORRECT_COLOUR, WRONG_COLOUR, technique_colours, tint
-
-if TYPE_CHECKING:
-    from amusic_gym.policies.trace import Trace
-
 
 GOOD, FIRST_RECALL = 0.5, 0.1
 """AUC of the curves that the axis is fitted to, and the recall from which on."""

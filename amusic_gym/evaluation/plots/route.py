@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from amusic_gym.evaluation import metrics
 from amusic_gym.evaluation.plots import labels
 from amusic_gym.evaluation.plots.drawing import GREY, INK, figure_at, only, percent
+from amusic_gym.policies.trace import Trace
 from amusic_gym.utils.colours import (
     CORRECT_COLOUR,
     NEUTRAL_COLOUR,
@@ -23,8 +24,6 @@ from amusic_gym.utils.colours import (
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-
-    from amusic_gym.policies.trace import Trace
 
 LEAST_SHARE_NAMED = 0.06  # narrower bar segments carry no number
 
