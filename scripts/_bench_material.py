@@ -1,7 +1,5 @@
 """What all measurements of the bench share: the bank, the checks, the sizes and plain NumPy."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple

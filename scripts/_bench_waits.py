@@ -1,7 +1,5 @@
 """What a user waits for: the import, the first step, a technique on an image, a live frame."""
 
-from __future__ import annotations
-
 import os
 import statistics
 import subprocess

@@ -1,7 +1,5 @@
 """Drives under random activity, and how well p̂ and the techniques' statistics did on them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """The recordings of docs/results.md, and tours of them, as score banks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What a coarse index would change: time and memory, and accuracy after SIC."""
 
-from __future__ import annotations
-
 import importlib
 import warnings
 from collections.abc import Sequence

@@ -11,8 +11,6 @@ live_hog_frames_per_second and live_overhead_ms (per frame, beyond the technique
 `belief_` before it, of that statistic. docs/performance.md says what each ratio is.
 """
 
-from __future__ import annotations
-
 import inspect
 import json
 from collections.abc import Callable

@@ -4,8 +4,6 @@ The routes are those of the statistic's own kind: steady drives through changing
 any motion for the belief.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

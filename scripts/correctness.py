@@ -5,8 +5,6 @@ re-timed, with each technique's own statistic. Writes correctness.json, of the s
 reliability.png, of the random activity tables.md and reliability_random.png.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path

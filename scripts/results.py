@@ -10,8 +10,6 @@ with --docs DIR writes them, and the figures, into DIR's documents. What is fini
 done again.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import time

@@ -5,8 +5,6 @@ is finished in DIR is not measured again unless code changes. By default it take
 minutes of one processor and 5 GiB of memory.
 """
 
-from __future__ import annotations
-
 from _timing import one_thread
 
 one_thread()

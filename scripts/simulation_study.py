@@ -3,8 +3,6 @@
 The recordings are the banks given by --bank; with the variable AMUSIC_DATA, Corridor too.
 """
 
-from __future__ import annotations
-
 import io
 import os
 from collections.abc import Sequence

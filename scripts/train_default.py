@@ -7,8 +7,6 @@ into its folder in ``agents/amusic_agents/pretrained``, unless the one that is t
 run that was stopped goes on where it was.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

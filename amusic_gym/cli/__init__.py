@@ -5,8 +5,6 @@ A command is a module of its name with ``add_arguments(parser)`` and, unless tha
 here raises as a ValueError of one sentence; what is not there, as a FileNotFoundError.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from functools import partial

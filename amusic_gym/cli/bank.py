@@ -3,8 +3,6 @@
 arrays | descriptors | vprbench | images | tour | simulate | retime | info; render | describe.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The commands of ``bank`` that have to do with images: images | tour | render."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

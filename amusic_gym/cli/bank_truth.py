@@ -1,7 +1,5 @@
 """What the commands that make banks are told of ground truth."""
 
-from __future__ import annotations
-
 import argparse
 from typing import Any
 

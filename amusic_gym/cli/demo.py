@@ -5,8 +5,6 @@ these, and compares the selectors that ship, whose training saw none of them, wi
 kind. With the variable AMUSIC_DATA the real Corridor recording is added, with --bank your own.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import shutil

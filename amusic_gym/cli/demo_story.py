@@ -1,7 +1,5 @@
 """What the demo's numbers say, in plain sentences."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The demo's tours: rendered worlds joined into drives, and what techniques make of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, closing

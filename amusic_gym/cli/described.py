@@ -1,7 +1,5 @@
 """What ``navigate`` matches its frames against: a map's folder, or images described now."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing

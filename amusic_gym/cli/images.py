@@ -1,7 +1,5 @@
 """What the commands that read images share: folders, techniques, seconds; what they tell."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import warnings

@@ -6,8 +6,6 @@ Techniques and policy run once on images of the map before the drive, so that co
 are not in the first frame's time.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Arguments of the commands that run policies on banks: compare | study."""
 
-from __future__ import annotations
-
 import argparse
 
 from amusic_gym.banks.bank import ScoreBank

@@ -5,8 +5,6 @@ the mean reward per frame as the environment gives it (p̂ - λ · compute) and 
 (correct - λ · compute). Any policy that chooses techniques may be named, such as ppo:RUN.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterable, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """How a command ends: its exit status, and one line on stderr where something is wrong."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

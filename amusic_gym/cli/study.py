@@ -7,8 +7,6 @@ on where it was, and a longer one computes only what is new or changed. Writes D
 tables.md, the figures and a page, index.html.
 """
 
-from __future__ import annotations
-
 import argparse
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The teacher of an imitation: for every part of the range of λ, the cascade that pays most."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

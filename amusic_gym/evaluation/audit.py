@@ -4,8 +4,6 @@ A selector that is rewarded with p̂ may learn to raise p̂ instead of being rig
 against ground truth for every policy that gives one, and where the two part it is said loudly.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ ground truth: the *single best* is the subset that is best on average over all r
 best* takes on each route the one that is best there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The columns of tables of results, on pages and in terminals, and what each means."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 

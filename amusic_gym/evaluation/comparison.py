@@ -4,8 +4,6 @@ Every finished row is kept at once, so that a comparison which was stopped or ki
 it was.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

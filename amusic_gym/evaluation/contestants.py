@@ -1,7 +1,5 @@
 """The policies of a comparison, by their names."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import sys

@@ -1,7 +1,5 @@
 """How far SIC-estimated correctness p̂ can be believed, against ground truth."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -3,8 +3,6 @@
 The first comment holds a digest of the text, so that a number typed by hand is found (`altered`).
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Contact sheets of the failures of a comparison, from the traces in its folder."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The figures of a comparison, as PNG files, and its page."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The ranked list of each query of a trace, as CSV."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

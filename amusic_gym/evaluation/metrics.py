@@ -4,8 +4,6 @@ Accuracy, precision-recall, AUC and PTR (proportion of technique runs) follow A-
 it leaves the AUC open two common readings are given, and the one that gives its figures.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple

@@ -5,8 +5,6 @@ loads nothing but what is in the folder beside it (`amusic_gym.evaluation.report
 on a phone and on paper, light and dark, with a keyboard and with a screen reader.
 """
 
-from __future__ import annotations
-
 import base64
 import os
 from collections.abc import Mapping, Sequence

@@ -4,8 +4,6 @@ One drive and its pictures are in the page; the others lie beside it, as scripts
 page that is opened from a folder may load these, but no other data.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Runs policies on banks and live routes and records traces."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Finished results on disk: a JSON file each, named by a digest of all that may change it."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping

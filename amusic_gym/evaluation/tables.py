@@ -1,7 +1,5 @@
 """Tables as text and markdown, and their mark of policies that need ground truth."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A localiser that a robot's own program pushes images into, one by one."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Runs a policy along a live route, frame by frame, as a robot would."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO

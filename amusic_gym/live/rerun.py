@@ -1,7 +1,5 @@
 """Drives in Rerun: camera, place, p̂, runs and milliseconds on one timeline."""
 
-from __future__ import annotations
-
 import os
 from typing import Any
 

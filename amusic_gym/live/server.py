@@ -1,7 +1,5 @@
 """Answers of a drive over HTTP: the last one, all as they come, and a page that shows them."""
 
-from __future__ import annotations
-
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files

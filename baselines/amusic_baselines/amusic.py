@@ -1,7 +1,5 @@
 """A-MuSIC, the paper's rule (III-C), driving the environment through the re-select bit."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Checks that the policies' ``NAME:ARGUMENT`` share; each refuses with a ValueError."""
 
-from __future__ import annotations
-
 import math
 
 from amusic_gym.policies.protocol import Context

@@ -6,8 +6,6 @@ Borda's count does, is `borda:DEPTH` with a DEPTH as long as the map: what is la
 second to last then counts as much as what is first. `DEPTH` was chosen on simulated routes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

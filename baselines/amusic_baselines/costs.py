@@ -1,7 +1,5 @@
 """Which techniques are cheap, from what the infos say."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -5,8 +5,6 @@ techniques must run before a subset can be chosen. Our reading: every subset tak
 techniques too; of equally clear ones the smaller, then the one of lower technique indices.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import combinations
 

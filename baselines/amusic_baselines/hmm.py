@@ -6,8 +6,6 @@ a move beyond the map's last place may end anywhere; before the first frame ever
 likely. β and the jump rate were chosen on simulated routes, as they are and re-timed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ tiers, with one one. A later tier only had to match candidates there; here a run
 row, and that is what it costs.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -12,8 +12,6 @@ Our reading where a route here differs from theirs:
  - They report a path; the confidence is the mean similarity along its last `RECENT` nodes.
 """
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass

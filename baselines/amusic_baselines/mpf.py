@@ -11,8 +11,6 @@ published. Our reading where these leave it open, or where a route here differs 
    confidence is 1 minus the *mean* ratio along the path; they sum over all frames but the first.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Per-frame oracle: a bound, not a policy that a robot could run."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Mapping
 from typing import Any

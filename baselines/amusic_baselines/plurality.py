@@ -4,8 +4,6 @@ Our reading: votes for places within the bank's tolerance of each other are vote
 A technique whose row is constant has no vote.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

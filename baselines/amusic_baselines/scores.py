@@ -1,7 +1,5 @@
 """What policies that work on score rows themselves share: the rows, and their scaling."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fixed subsets: one technique, several, or all of them (MuSIC, III-B)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Value of information: the subset whose p̂ on the next frame is worth most, after its cost."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

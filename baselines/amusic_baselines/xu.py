@@ -10,8 +10,6 @@ Xu, Sünderhauf, Milford: Probabilistic Visual Place Recognition for Hierarchica
    mass there; their neighbourhood ends one place earlier at its upper end.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

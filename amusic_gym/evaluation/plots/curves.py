@@ -1,7 +1,5 @@
 """Precision-recall curves, and how far estimated correctness can be believed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ Colours are taken from Okabe and Ito's and Tol's sets, made for every common kin
 their bright yellow is left out, it vanishes on white.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 

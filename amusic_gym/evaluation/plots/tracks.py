@@ -1,7 +1,5 @@
 """Two tracks seen from above, and which places of the one the frames of the other are taken for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The paper's figures 3 to 7, and one of the sweep of E and M, each as PNG and PDF."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

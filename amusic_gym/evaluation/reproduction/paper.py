@@ -1,7 +1,5 @@
 """The paper's methods and what it says they reach (A-MuSIC, tables II and III)."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from importlib.resources import files

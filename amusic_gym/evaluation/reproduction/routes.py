@@ -1,7 +1,5 @@
 """The paper's data sets as banks, and what of them differs from the paper's."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """All of the paper's experiments in one go."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence

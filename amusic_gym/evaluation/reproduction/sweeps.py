@@ -1,7 +1,5 @@
 """What K and F of SIC, and E and M of A-MuSIC, do (A-MuSIC, IV-C and figure 3)."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from typing import Any

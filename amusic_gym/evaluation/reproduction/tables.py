@@ -1,7 +1,5 @@
 """Tables II and III beside the paper's figures: as words, CSV and LaTeX in the paper's layout."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The audit of a study: p̂ of every policy against the truth, and where the two part."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

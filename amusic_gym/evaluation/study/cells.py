@@ -1,7 +1,5 @@
 """One cell of a study: a policy with one λ on one route, moving in one way."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

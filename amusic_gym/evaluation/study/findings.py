@@ -1,7 +1,5 @@
 """What a study found: points, fronts, margins and the audit of p̂, as plain rows."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass

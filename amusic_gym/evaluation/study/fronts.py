@@ -4,8 +4,6 @@ A front says: the best AUC at no more than that compute. All functions take the 
 front in the last axis; axes before it are copies of the whole, such as bootstrap replicates.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

@@ -1,7 +1,5 @@
 """The entrants of a study: policies by their names, and groups of trained selectors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

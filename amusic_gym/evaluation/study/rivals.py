@@ -1,7 +1,5 @@
 """Selectors against rules of every kind, each with a grid of settings: the demo and the results."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

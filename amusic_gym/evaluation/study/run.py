@@ -1,7 +1,5 @@
 """Runs the cells of a plan that are not finished yet."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

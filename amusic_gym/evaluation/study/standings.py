@@ -1,7 +1,5 @@
 """What a study's tables say in short: a leaderboard, and sentences on who is ahead where."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 
 from amusic_gym.evaluation.study.cells import CONDITIONS

@@ -1,7 +1,5 @@
 """The findings of a study as tables: text for a terminal, markdown for the documentation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
