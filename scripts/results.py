@@ -66,17 +66,13 @@ def texts_of(kind: str, findings: Findings) -> dict[str, str]:
     for condition in findings.settings["conditions"]:
         title = f"{kind.capitalize()}, {CONDITIONS[condition]}"
         boards.append(leaderboard(findings, condition, title).markdown())
-        said = [*standing(findings, condition), *where_ahead(findings, condition)]
-        results += [matches_table(findings, condition).markdown(), bullets(said)]
+        sentences = [*standing(findings, condition), *where_ahead(findings, condition)]
+        results.append(matches_table(findings, condition).markdown())
+        results.append("\n".join(f"- {sentence}" for sentence in sentences))
     if kind == "motions":
         shown = [row for row in findings.audit if row["front"] in STUDIES[kind].ships]
         results.append(audit_table(findings, shown).markdown())
     return {RESULTS: "\n\n".join(results), LEADERBOARD: "\n\n".join(boards)}
-
-
-def bullets(sentences: Sequence[str]) -> str:
-    """A Markdown list."""
-    return "\n".join(f"- {sentence}" for sentence in sentences)
 
 
 def study(kind: str, args: argparse.Namespace, data: Path) -> Findings:

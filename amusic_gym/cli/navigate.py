@@ -28,7 +28,7 @@ from amusic_gym.cli.described import (
     techniques_for,
     truth_of,
 )
-from amusic_gym.cli.drive import Journal, Publisher, check_outputs
+from amusic_gym.cli.drive import Journal, check_outputs, publishers
 from amusic_gym.cli.images import run_of, thinning
 from amusic_gym.cli.options import MANY
 from amusic_gym.cli.parser import (
@@ -125,8 +125,7 @@ def main(args: argparse.Namespace) -> None:
         if args.output == "jsonl":
             lines = sys.stdout
             stack.enter_context(redirect_stdout(sys.stderr))
-        publisher = Publisher(lines=lines, port=args.http, host=args.host, rerun=args.rerun)
-        stack.enter_context(publisher)
+        publish = publishers(args, lines, stack)
         if args.map is None:
             techniques, seconds = techniques_for(args)
             names = [one.name for one in techniques]
@@ -160,7 +159,9 @@ def main(args: argparse.Namespace) -> None:
         answers = Answers(getattr(images, "names", None), described.positions, args.min_p)
         journal = stack.enter_context(Journal(route, answers, quiet=args.quiet or bool(lines)))
         for result in islice(drive, args.frames):
-            publisher.write(result, answers, journal.write(result))
+            answer = answers.of(result, journal.write(result))
+            for each in publish:
+                each(result, answer)
             if trace:
                 trace.write(result)
             picture = pictures.draw(result) if video or window else None

@@ -26,11 +26,8 @@ def run(main: Callable[[], int | None], prog: str | None = None) -> NoReturn:
 
     Exit status: what ``main`` returns, or 0; 2 for bad arguments or input, one line on stderr;
     130 on Ctrl-C, 143 on SIGTERM and 129 on SIGHUP, which do the same; 141, and not a word, when
-    who reads stdout has gone (``| head``). Warnings are one line on stderr too.
-
-    Args:
-        main: the command.
-        prog: its name, which a refusal begins with; None: that of the script.
+    who reads stdout has gone (``| head``). Warnings are one line on stderr too. A refusal begins
+    with ``prog``, None being the name of the script.
     """
     warnings.formatwarning = _one_line
     _escape_output()
@@ -67,8 +64,7 @@ def _tell(line: str) -> None:
 def _stops_as_ctrl_c() -> Iterator[list[int]]:
     """Let `STOPS` do what Ctrl-C does at that time; one that is ignored (``nohup``) stays so.
 
-    Yields:
-        The numbers of those that came.
+    The numbers of those that came are yielded.
     """
     came: list[int] = []
     until = -1.0

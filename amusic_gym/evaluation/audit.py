@@ -74,10 +74,8 @@ def parting(
 ) -> str | None:
     """The line that says loudly where p̂ and the truth part; None where they do not.
 
-    Args:
-        who: whose p̂ it is, and where: "cascade on corridor".
-        audits: with what tells each from the others, "λ 0.1", or "".
-        above_only: whether p̂ below the accuracy is left out.
+    ``who`` is as in "cascade on corridor", what comes with an audit as in "λ 0.1", or "". With
+    ``above_only`` p̂ below the accuracy is left out.
     """
     given = list(audits)
     apart = [

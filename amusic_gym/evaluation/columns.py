@@ -50,10 +50,6 @@ OTHERS = {
 
 
 def legend(columns: Iterable[str]) -> str:
-    """What the columns of a table of results mean, in one paragraph; `OTHERS` first.
-
-    Args:
-        columns: names in ``results.json``.
-    """
+    """What columns of ``results.json`` mean in a table, in one paragraph; `OTHERS` first."""
     shown = {**OTHERS, **{COLUMNS[name].heading: COLUMNS[name].meaning for name in columns}}
     return ". ".join(f"{head}: {meaning}" for head, meaning in shown.items()) + "."

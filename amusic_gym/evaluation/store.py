@@ -23,12 +23,8 @@ FORMAT_VERSION = 4
 def sources(entry: Path, *packages: Path) -> tuple[Path, ...]:
     """A source file, those that it depends on by its imports, and the JSON data beside them.
 
-    The estimators, which are imported by name, are among them.
-
-    Args:
-        entry: the file.
-        packages: folders of the packages whose files count, in the order of their dependence; the
-            last is this one, or a copy.
+    The estimators, which are imported by name, are among them. ``packages`` are folders of the
+    packages whose files count, in the order of their dependence; the last is this one, or a copy.
     """
     modules = {where.partition(":")[0] for where in ESTIMATORS.values()}
     root = packages[-1].parent

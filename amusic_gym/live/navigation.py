@@ -56,11 +56,8 @@ class TraceWriter(Closing):
 
     The columns are those of :meth:`amusic_gym.policies.trace.Trace.write_csv`, then the
     milliseconds of the frame without reading its image, of reading it, and of each technique's
-    runs. ``correct`` is empty where the ground truth is not known.
-
-    Args:
-        path: the file; one that is there is replaced.
-        route: the route that is driven.
+    runs. ``correct`` is empty where the ground truth is not known. A file that is there is
+    replaced.
 
     Example:
         >>> with TraceWriter("trace.csv", route) as writer:  # doctest: +SKIP

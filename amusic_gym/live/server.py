@@ -47,8 +47,7 @@ class AnswerServer(Closing):
     def after(self, number: int) -> tuple[int, bytes] | None:
         """The last answer and its number, once there is a later one; empty after `ALIVE` seconds.
 
-        Returns:
-            None at the end.
+        At the end it is None.
         """
         with self._changed:
             self._changed.wait_for(lambda: self._ended or self._number > number, ALIVE)

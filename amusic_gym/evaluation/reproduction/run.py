@@ -33,19 +33,18 @@ def reproduce(
     executor: str = "serial",
     report: Callable[[str], None] = print,
 ) -> Path:
-    """Run the experiments on those data sets that are there; write tables, figures and a page.
+    """Run the experiments on those data sets that are there; write tables, figures and the page.
+
+    What is finished in ``out`` is not done again.
 
     Args:
         root: the folder that holds the data sets' folders.
-        out: the folder to write; what is finished there is not done again.
+        out: the folder to write.
         datasets: of the paper's.
         weights: technique → file of weights; of the others those that ship.
         cache: see `amusic_gym.extraction.extract`.
         executor: likewise.
         report: is given one line per finished piece.
-
-    Returns:
-        The page.
 
     Raises:
         FileNotFoundError: if none of the data sets is there, or a file of weights is not.
@@ -165,18 +164,21 @@ def _draw(
     """Figures 3 to 7 and the sweep of E and M."""
     return [
         figures.both(
-            lambda path: figures.ablation(ablated, path),
+            figures.ablation,
+            ablated,
             out / "figure3.png",
             "Figure 3: what K and F of SIC do; the mean over data sets and techniques.",
         ),
         figures.both(
-            lambda path: figures.accuracies(cells, path),
+            figures.accuracies,
+            cells,
             out / "figure4.png",
             "Figure 4: accuracy of the techniques, pale alone and full with SIC.",
         ),
         *figures.drives(traces, out),
         figures.both(
-            lambda path: figures.sweep(swept, path),
+            figures.sweep,
+            swept,
             out / "sweep.png",
             "A-MuSIC with other E and M than the paper's .7 and 10; the mean over data sets.",
         ),
