@@ -13,7 +13,7 @@ import numpy as np
 from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.live.answers import Answers
 from amusic_gym.live.answers import line as as_json
-from amusic_gym.live.navigation import FrameResult
+from amusic_gym.live.drives import FrameResult
 from amusic_gym.live.rerun import Recording
 from amusic_gym.live.server import AnswerServer
 from amusic_gym.utils.closing import Closing

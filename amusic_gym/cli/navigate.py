@@ -48,9 +48,10 @@ from amusic_gym.envs.window import Window
 from amusic_gym.evaluation.contestants import Contestant, check_weights, contestants
 from amusic_gym.evaluation.plots.labels import policy_label
 from amusic_gym.live.answers import Answers
+from amusic_gym.live.drives import FrameResult
 from amusic_gym.live.limits import Keeper, Limits
 from amusic_gym.live.localiser import COMPUTE_WEIGHT, TOLERANCE
-from amusic_gym.live.navigation import FrameResult, TraceWriter, navigate
+from amusic_gym.live.navigation import TraceWriter, navigate
 from amusic_gym.policies.protocol import Context, Policy
 from amusic_gym.routes import image_truth
 from amusic_gym.routes.network_camera import NetworkCamera
@@ -279,7 +280,6 @@ def _drive(
     seed: int,
     keep: Callable[[Policy], Keeper | None] = lambda policy: None,
 ) -> Iterator[FrameResult]:
-    """A drive with a fresh policy."""
     made = policy.make(Context.of(route, seed=seed, **correction))
     weight = policy.compute_weights[0]
     return navigate(made, route, compute_weight=weight, keeper=keep(made), **correction)

@@ -71,7 +71,6 @@ def main(args: argparse.Namespace) -> None:
 
 
 def _lineup(args: argparse.Namespace) -> Lineup:
-    """The policies of the command line."""
     selectors = {
         name: tuple(f"ppo:{run}" for run in runs.split(","))
         for name, runs in pairs(args.selector, "--selector").items()
@@ -106,7 +105,6 @@ def _seeds(args: argparse.Namespace) -> range:
 
 
 def _count(plan: study.Plan, out: Path) -> None:
-    """Print how many cells there are, and how many are finished."""
     counts = study.count_finished(plan, out)
     width = max(map(len, counts))
     for name, (have, cells) in counts.items():

@@ -113,7 +113,6 @@ def _named(row: Mapping[str, Any]) -> str:
 
 
 def _has_front(rows: Sequence[dict[str, Any]]) -> bool:
-    """Whether any row has a place in the front."""
     return any(parse(row["policy"]).policy.charted for row in rows)
 
 

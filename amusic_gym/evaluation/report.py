@@ -129,7 +129,6 @@ def write_report(
 
 
 def _bank(name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """What a table shows."""
     own = [row for row in rows if row["bank"] == name]
     return {
         "name": "Mean over banks" if name == "mean" else name or "unnamed bank",

@@ -13,8 +13,6 @@ from amusic_gym.policies.trace import CSV_COLUMNS, csv_line
 from amusic_gym.utils.closing import Closing
 from amusic_gym.utils.escaping import CsvWriter
 
-__all__ = ["FrameResult", "TraceWriter", "navigate"]
-
 
 def navigate(
     policy: Policy,

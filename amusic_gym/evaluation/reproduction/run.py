@@ -161,7 +161,6 @@ def _draw(
     swept: figures.Rows,
     out: Path,
 ) -> list[ReportFigure]:
-    """Figures 3 to 7 and the sweep of E and M."""
     return [
         figures.both(
             figures.ablation,
