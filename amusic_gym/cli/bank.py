@@ -10,6 +10,7 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.bank_files import check_destination
 from amusic_gym.cli.bank_descriptors import add_describe, add_descriptors, describe, descriptors
 from amusic_gym.cli.bank_images import add_images, add_render, add_tour, images, render, tour
+from amusic_gym.cli.bank_truth import given
 from amusic_gym.cli.images import tell
 from amusic_gym.cli.options import MANY
 from amusic_gym.cli.parser import Parser, add_commands, numbers, pairs
@@ -51,10 +52,8 @@ def simulate(args: argparse.Namespace) -> None:
     """A simulated route -> a bank."""
     from amusic_gym.routes.simulate import simulate
 
-    options = {
-        name: getattr(args, name) for name in ("queries", "references", "techniques", "motion")
-    }
-    bank = simulate(args.seed, **{name: v for name, v in options.items() if v is not None})
+    options = given(args, "queries", "references", "techniques", "motion")
+    bank = simulate(args.seed, **options)
     tell(bank.save(args.out), bank.shape)
 
 

@@ -4,6 +4,7 @@ Every finished row is kept at once, so that a comparison which was stopped or ki
 it was.
 """
 
+import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,21 +17,23 @@ import numpy as np
 from amusic_gym import __version__
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.bank_files import refuse_within_bank
+from amusic_gym.banks.ranking import ranked
 from amusic_gym.estimation.settings import SICSettings, statistic_label
 from amusic_gym.evaluation import metrics, rollout, store
 from amusic_gym.evaluation.audit import Audit, audit, parting
 from amusic_gym.evaluation.columns import COLUMNS, OTHERS, legend
 from amusic_gym.evaluation.contestants import Contestant
-from amusic_gym.evaluation.lists import write_lists
 from amusic_gym.evaluation.tables import Table, footnote, marked
 from amusic_gym.policies.protocol import Context, Correction
 from amusic_gym.policies.trace import DONE, Trace
 from amusic_gym.routes.bank_images import BankImages
 from amusic_gym.utils.checks import whole
+from amusic_gym.utils.escaping import CsvWriter
 from amusic_gym.utils.names import distinct, file_stem
 from amusic_gym.utils.storage import keep_only, write_whole
 
 ROWS, TRACES, LISTS, RESULTS = "rows", "traces", "lists", "results.json"
+LIST_COLUMNS = ("query", "rank", "place", "correct")
 
 Report = Callable[[str], None]
 
@@ -130,7 +133,7 @@ def compare(
         row = metrics.summarise(trace)
         trace.write_csv(file, images[trace.bank])
         for path in lists[number - 1 : number]:
-            write_lists(path, entry.context.bank, trace, count)
+            write_whole(path, ranked_lists(entry.context.bank, trace, count))
         traces.append(trace)
         rows.append(row)
         report(f"[{number}/{len(entries)}] {_line(row)}{' (was finished)' if kept else ''}")
@@ -145,11 +148,7 @@ def compare(
 
 
 def check_banks(banks: Sequence[ScoreBank]) -> None:
-    """Refuse banks that cannot be compared on.
-
-    Raises:
-        ValueError: for no bank, or banks with different cost models.
-    """
+    """Refuse no bank at all, and banks with different cost models, with a ValueError."""
     if not banks:
         raise ValueError("no score bank to compare on; give at least one")
     costs = list(dict.fromkeys(bank.costs for bank in banks))
@@ -230,6 +229,21 @@ def _renamed(bank: ScoreBank, name: str) -> ScoreBank:
     view = bank.subset(bank.techniques)  # a view of its own, whose name is free to change
     view.name = name
     return view
+
+
+def ranked_lists(bank: ScoreBank, trace: Trace, count: int) -> bytes:
+    """CSV of a line per query and rank, 1 to ``count`` at most, with the columns `LIST_COLUMNS`.
+
+    What is ranked is said in `amusic_gym.banks.ranking`.
+    """
+    text = io.StringIO()
+    writer = CsvWriter(text)
+    writer.writerow(LIST_COLUMNS)
+    for frame, prediction in enumerate(trace.predictions.tolist()):
+        for rank, place in enumerate(ranked(bank, frame, trace.ran[frame], prediction, count), 1):
+            right = bank.truth.is_true(int(place), frame)
+            writer.writerow([frame, rank, int(place), int(right)])
+    return text.getvalue().encode()
 
 
 def trace_stems(rows: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -93,11 +93,7 @@ def _code_of(build: Callable[..., Any]) -> str:
 
 
 def all_subsets(techniques: Sequence[str]) -> list[str]:
-    """The policies of every subset of the techniques: ``single:A``, ``subset:A+B``, ``music``.
-
-    Raises:
-        ValueError: for more than `MOST_TECHNIQUES`.
-    """
+    """Every subset as ``single:A``, ``subset:A+B`` or ``music``; a ValueError for too many."""
     if len(techniques) > MOST_TECHNIQUES:
         raise ValueError(
             f"{len(techniques)} techniques have {2 ** len(techniques) - 1} subsets, too many to "

@@ -49,11 +49,7 @@ class ReportFigure:
 
 
 def refuse_other_page(path: Path) -> None:
-    """Refuse the name of a file that is no page of ours, which would be lost.
-
-    Raises:
-        ValueError: for such a file.
-    """
+    """Refuse with a ValueError the name of a file that is no page of ours, which would be lost."""
     if path.is_file():
         with path.open("rb") as file:
             if GENERATOR not in file.read(4096):

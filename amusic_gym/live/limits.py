@@ -78,11 +78,7 @@ class Limits:
         return self.budget_ms if self.budget_joules is None else self.budget_joules
 
     def check(self, spec: str) -> None:
-        """Refuse a policy, as on the command line, that no budget can steer.
-
-        Raises:
-            ValueError: naming policies that can be steered.
-        """
+        """Refuse with a ValueError a policy, as on the command line, that no budget can steer."""
         policy, argument = parse(spec)
         if self.budget is not None and not policy.reads_weight(argument or ""):
             raise ValueError(f"policy {spec} has no λ to hold a budget with; take ppo or voi")

@@ -30,11 +30,7 @@ class Oracle:
         self._order = np.argsort(bank.seconds, kind="stable").tolist()
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Begin the route anew.
-
-        Raises:
-            ValueError: for more than one route: the oracle knows one.
-        """
+        """Begin the route anew; a ValueError for several routes: the oracle knows one."""
         if mask.size != 1:
             raise ValueError(f"the oracle knows one route, not {mask.size}; run one at a time")
         foresight = _Belief if self.settings.statistic == "belief" else _Diagonals

@@ -154,11 +154,7 @@ class SwitchHit:
     threshold: float = THRESHOLD  # τ, correctness at which it stops
 
     def reset(self, references: int, techniques: int) -> None:
-        """Nothing to forget.
-
-        Raises:
-            ValueError: for another number of techniques than it has learned of.
-        """
+        """Nothing to forget; a ValueError for more or fewer techniques than it has learned of."""
         known = len(self.experience.helps)
         if techniques != known:
             raise ValueError(

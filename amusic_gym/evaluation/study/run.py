@@ -87,11 +87,7 @@ def _load(plan: Plan, folder: Path, report: Report) -> dict[str, Measures]:
 
 
 def load_measures(folder: Path, stem: str) -> Measures | None:
-    """The numbers of a finished cell; None where there are none.
-
-    Raises:
-        ValueError: when the file is damaged.
-    """
+    """The numbers of a finished cell; None where there are none; a ValueError if damaged."""
     if (body := store.load(folder, stem)) is None:
         return None
     measures: Measures = body["measures"] if isinstance(body.get("measures"), dict) else {}
