@@ -5,20 +5,15 @@ rollouts (tries subsets of techniques from many states and learns what each lead
 (PPO on when to select again).
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from amusic_agents.config import TrainingConfig
 
 from amusic_gym.cli.parser import Parser, destination
 from amusic_gym.cli.settings import FREE, add_settings, given_settings, refuse_others, settings_of
-
-if TYPE_CHECKING:
-    from amusic_agents.config import TrainingConfig
-    from amusic_agents.evaluation import Evaluation
 
 
 def add_arguments(parser: Parser) -> None:
@@ -44,7 +39,7 @@ def learn(
     out: Path,
     config: TrainingConfig,
     resume: bool = False,
-    evaluated: Callable[[Evaluation], object] | None = None,
+    evaluated: Callable[..., object] | None = None,
     *,
     banks: Sequence[str] = (),
     progress: bool = True,

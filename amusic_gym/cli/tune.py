@@ -13,13 +13,15 @@ from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from amusic_agents.config import TrainingConfig, leaves
+
 from amusic_gym.cli.options import MANY
 from amusic_gym.cli.parser import Parser, destination, pairs
 from amusic_gym.cli.settings import add_settings, given_settings, refuse_unused, settings_of
 from amusic_gym.cli.train import learn
+from amusic_gym.utils.names import suggest
 
 if TYPE_CHECKING:
-    from amusic_agents.config import TrainingConfig
     from amusic_agents.trials import Learn
     from amusic_agents.tuning import Space
 
@@ -90,10 +92,7 @@ def learner(banks: Sequence[str], progress: bool) -> Learn:
 
 def as_space(items: Sequence[str], config: TrainingConfig) -> Space:
     """``["entropy=1e-4:0.1:log", "epochs=2,4"]`` as what is searched."""
-    from amusic_agents.config import leaves
     from amusic_agents.tuning import Range
-
-    from amusic_gym.utils.names import suggest
 
     known = leaves(config)
     space: dict[str, Range | tuple[Any, ...]] = {}

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from amusic_gym.evaluation.reproduction.paper import METHODS, TECHNIQUES, TITLES
 from amusic_gym.evaluation.reproduction.sweeps import BLOCKS, CANDIDATES, COVERAGES, HISTORIES
 from amusic_gym.evaluation.reproduction.tables import Cells
 from amusic_gym.policies.trace import Trace
+from amusic_gym.routes.datasets import LoadedRoute
 from amusic_gym.utils.colours import PAPER_COLOURS, sequence, tint
 
 Rows = Sequence[Mapping[str, Any]]
@@ -111,14 +113,14 @@ def drives(traces: Sequence[Trace], out: Path) -> Iterator[ReportFigure]:
 
 
 def one_drive(
-    traces: Sequence[Trace], parts: Sequence[tuple[int, str]], path: Path
-) -> ReportFigure:
-    """Figure 7 of the data sets in one drive; ``parts``: first frame and data set of each."""
-    adaptive = [trace for trace in traces if trace.policy == METHODS["A-MuSIC"]]
-    named = [(first, TITLES[name]) for first, name in parts]
-    return both(
+    traces: Sequence[Trace], parts: Sequence[LoadedRoute], out: Path
+) -> Iterator[ReportFigure]:
+    """Figure 7 of the data sets in one drive."""
+    firsts = accumulate((len(part.query) for part in parts), initial=0)
+    named = [(first, TITLES[part.name]) for first, part in zip(firsts, parts, strict=False)]
+    yield both(
         partial(plots.selections, parts=named),
-        adaptive,
-        path,
+        [trace for trace in traces if trace.policy == METHODS["A-MuSIC"]],
+        out / f"figure7-{traces[0].bank}.png",
         f"Figure 7, {', '.join(name for _, name in named)} in one drive: what A-MuSIC runs.",
     )

@@ -4,7 +4,6 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from itertools import accumulate
 from pathlib import Path
 
 from amusic_gym.evaluation.comparison import compare
@@ -15,7 +14,6 @@ from amusic_gym.evaluation.reproduction.paper import METHODS, TECHNIQUES, TITLES
 from amusic_gym.evaluation.reproduction.routes import extracted, joined, load
 from amusic_gym.evaluation.tables import Table
 from amusic_gym.policies.trace import Trace
-from amusic_gym.routes.datasets import LoadedRoute
 from amusic_gym.techniques import make_technique
 from amusic_gym.utils.storage import write_whole
 
@@ -70,23 +68,14 @@ def reproduce(
     )
     banks = [bank_of(found) for found in there]
 
-    paper = compare(
-        banks, lambda _: contestants([*METHODS.values()]), out, statistic="mean", report=report
-    )
+    run = partial(compare, statistic="mean", report=report)
+    methods = contestants([*METHODS.values()])
+    paper = run(banks, lambda _: methods, out)
     drive = []  # of a single data set there is none
     if len(there) > 1:
         whole = bank_of(joined(there))
-        made = contestants([*METHODS.values()])
-        drive = compare(
-            [whole], lambda _: made, out / whole.name, statistic="mean", report=report
-        ).traces
-    swept = compare(
-        banks,
-        lambda _: contestants(sweeps.ADAPTIVE),
-        out / "sweep",
-        statistic="mean",
-        report=report,
-    )
+        drive = run([whole], lambda _: methods, out / whole.name).traces
+    swept = run(banks, lambda _: contestants(sweeps.ADAPTIVE), out / "sweep")
     report("Figure 3: accuracy of SIC with other K and F")
     ablated = []
     for row in sweeps.ablate(banks):
@@ -107,7 +96,7 @@ def reproduce(
         rows=[*paper.mean, *paper.rows],
         figures=[
             *_draw(ablated, cells, paper.traces, swept.mean, out),
-            *_drawn_in_one(there, drive, out),
+            *(figures.one_drive(drive, there, out) if drive else []),
         ],
         traces=paper.traces,
         images=paper.images,
@@ -118,16 +107,6 @@ def reproduce(
         ],
         tables=shown,
     )
-
-
-def _drawn_in_one(
-    there: Sequence[LoadedRoute], drive: Sequence[Trace], out: Path
-) -> list[ReportFigure]:
-    if not drive:
-        return []
-    firsts = accumulate((len(found.query) for found in there), initial=0)
-    parts = [(first, found.name) for first, found in zip(firsts, there, strict=False)]
-    return [figures.one_drive(drive, parts, out / f"figure7-{drive[0].bank}.png")]
 
 
 def _write_tables(
