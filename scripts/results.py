@@ -129,12 +129,8 @@ def _parser() -> Parser:
     add("--out", type=destination, required=True, metavar="DIR", help="the folder to write")
     yours = "besides those that ship: ppo:RUN; one, or five of one training"
     add("--selector", metavar="NAME=POLICY,...", help=yours, **MANY)
-    add(
-        "--policy",
-        metavar="POLICY",
-        help="besides the rules and peers: as compare takes it",
-        **MANY,
-    )
+    besides = "besides the rules and peers: as compare takes it"
+    add("--policy", metavar="POLICY", help=besides, **MANY)
     add("--costs", choices=COST_MODELS, default="paper", help="cost model (default: paper)")
     add("--docs", type=Path, metavar="DIR", help="the folder of the documents to write into")
     parser.add_shared("--executor")

@@ -81,12 +81,8 @@ def main(arguments: list[str] | None = None) -> None:
     add("--timesteps", type=int, default=TIMESTEPS, help=f"of PPO, for belief ({TIMESTEPS})")
     add("--seed", type=int, default=SEED, help=f"({SEED})")
     add("--threads", type=int, default=2, help="that drive; the result is the same (%(default)s)")
-    add(
-        "--statistic",
-        choices=SHIPPED,
-        default=SICSettings.statistic,
-        help="that it ships for (default: %(default)s)",
-    )
+    which = "that it ships for (default: %(default)s)"
+    add("--statistic", choices=SHIPPED, default=SICSettings.statistic, help=which)
     add("--allow-idle", action="store_true", help="the one that may run nothing on a frame")
     add("--ship", action="store_true", help="put the selector into agents/amusic_agents/pretrained")
     given = parser.parse_args(arguments)

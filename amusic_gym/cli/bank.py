@@ -120,22 +120,16 @@ def _add_simulate(parser: Parser) -> None:
     add("--queries", type=int, metavar="Q", help="frames of the route")
     add("--references", type=int, metavar="R", help="places on the map")
     add("--techniques", type=int, metavar="T", help="how many techniques")
-    add(
-        "--motion",
-        metavar="recorded|paced|kidnapped",
-        help="1:1 (recorded, the default); stops and other speeds; jumps besides",
-    )
+    motions = "1:1 (recorded, the default); stops and other speeds; jumps besides"
+    add("--motion", metavar="recorded|paced|kidnapped", help=motions)
     parser.add_shared("--out")
 
 
 def _add_retime(parser: Parser) -> None:
-    parser.add_argument("bank", type=Path, metavar="BANK", help="the recording")
-    parser.add_argument(
-        "--motion",
-        default="kidnapped",
-        metavar="paced|kidnapped",
-        help="stops and other speeds; jumps besides (default: %(default)s)",
-    )
+    add = parser.add_argument
+    add("bank", type=Path, metavar="BANK", help="the recording")
+    motions = "stops and other speeds; jumps besides (default: %(default)s)"
+    add("--motion", default="kidnapped", metavar="paced|kidnapped", help=motions)
     parser.add_shared("--seed", required=True, help="of the motion")
     parser.add_shared("--name", "--out")
 

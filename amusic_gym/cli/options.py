@@ -15,6 +15,12 @@ SHARED: dict[str, dict[str, Any]] = {
         "metavar": "DIR",
         "help": "where descriptors are kept (default: $XDG_CACHE_HOME or ~/.cache, amusic-gym)",
     },
+    "--compute-weight": {
+        "nargs": "+",
+        "type": float,
+        "metavar": "L",
+        "help": "λ (default: %(default)s)",
+    },
     "--costs": {"help": "cost model (default: the bank's own)"},
     "--device": {
         "default": "cpu",

@@ -34,22 +34,13 @@ def add_arguments(parser: Parser) -> None:
     from amusic_agents.evaluation import COMPUTE_WEIGHTS
 
     parser.add_shared("--policy", nargs="+", default=list(POLICIES))
-    parser.add_argument(
-        "--routes", type=int, default=64, help="simulated routes (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--compute-weight",
-        nargs="+",
-        type=float,
-        default=list(COMPUTE_WEIGHTS),
-        metavar="L",
-        help="λ (default: %(default)s)",
-    )
+    routes = "simulated routes (default: %(default)s)"
+    parser.add_argument("--routes", type=int, default=64, help=routes)
+    parser.add_shared("--compute-weight", default=list(COMPUTE_WEIGHTS))
     add_statistic(parser, "for all policies that have none of their own")
     parser.add_shared("--seed")
-    parser.add_shared(
-        "--out", type=destination, required=False, metavar="FILE", help="write the tables, too"
-    )
+    file = {"required": False, "metavar": "FILE", "help": "write the tables, too"}
+    parser.add_shared("--out", type=destination, **file)
 
 
 def main(args: argparse.Namespace) -> None:

@@ -40,13 +40,11 @@ def option(name: str) -> str:
 def add_settings(parser: Parser) -> None:
     """Add an option for every setting of a training, and ``--config``."""
     add = parser.add_argument
-    add(
-        "--config",
-        type=Path,
-        metavar="FILE",
-        help="settings as JSON, as a run folder's config.json has them under 'training'; options"
-        " go before it",
+    file = (
+        "settings as JSON, as a run folder's config.json has them under 'training'; options go"
+        " before it"
     )
+    add("--config", type=Path, metavar="FILE", help=file)
     defaults = training_config("ppo")
     said = _described(defaults)
     for name, default in leaves(defaults).items():
@@ -58,13 +56,11 @@ def add_settings(parser: Parser) -> None:
         about = f"{said.get(name, '')} (default: {known})".replace("%", "%%")
         add(*names, dest=PREFIX + name, help=about, **_kind(default))
     add_correction(parser, "in training and ever after")
-    add(
-        "--simulation",
-        nargs="+",
-        metavar="NAME=VALUE",
-        help="draw training routes from other ranges, for example retimed=0 wander=0:0 "
-        "(names: amusic_gym.routes.simulate.Simulation)",
+    drawn = (
+        "draw training routes from other ranges, for example retimed=0 wander=0:0 (names:"
+        " amusic_gym.routes.simulate.Simulation)"
     )
+    add("--simulation", nargs="+", metavar="NAME=VALUE", help=drawn)
 
 
 def _kind(default: Any) -> dict[str, Any]:

@@ -21,11 +21,8 @@ def add_arguments(parser: Parser) -> None:
     add = parser.add_argument
     add("--out", type=destination, required=True, help="run folder")
     add("--bank", action="append", default=[], help="train on this bank (repeat)")
-    add(
-        "--resume",
-        action="store_true",
-        help="go on from the last checkpoint; what is not given stays as it was",
-    )
+    resume = "go on from the last checkpoint; what is not given stays as it was"
+    add("--resume", action="store_true", help=resume)
     add_settings(parser)
 
 

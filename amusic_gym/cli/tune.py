@@ -34,26 +34,16 @@ def add_arguments(parser: Parser) -> None:
     about = "what is searched (default: by the algorithm, amusic_agents.tuning.SPACES)"
     add("--space", **MANY, metavar="NAME=VALUES", help=about)
     add("--bank", action="append", default=[], help="train on this bank (repeat)")
-    add(
-        "--seeds",
-        type=int,
-        metavar="N",
-        help="trainings of a trial, from --seed on; with several the mean of their scores counts,"
-        " and none is pruned (default: 1)",
+    several = (
+        "trainings of a trial, from --seed on; with several the mean of their scores counts, and"
+        " none is pruned (default: 1)"
     )
-    add(
-        "--at-once",
-        type=int,
-        default=1,
-        metavar="N",
-        help="trials that are drawn together and may be trained side by side (default: 1)",
-    )
+    add("--seeds", type=int, metavar="N", help=several)
+    together = "trials that are drawn together and may be trained side by side (default: 1)"
+    add("--at-once", type=int, default=1, metavar="N", help=together)
     parser.add_shared("--executor")
-    add(
-        "--resume",
-        action="store_true",
-        help="go on with the folder's study, its settings, space and banks",
-    )
+    resume = "go on with the folder's study, its settings, space and banks"
+    add("--resume", action="store_true", help=resume)
     add_settings(parser)
 
 

@@ -144,11 +144,9 @@ class Limits:
 
 
 class Costs:
-    """What a frame costs, as declared or as measured.
+    """What a frame costs, by runs of techniques (T,) as declared.
 
-    Args:
-        runs: (T,) of a run of each technique, as declared.
-        measured: whether wall times, in milliseconds, count instead once there are some.
+    With ``measured`` wall times, in milliseconds, count instead once there are some.
     """
 
     def __init__(self, runs: ArrayLike, measured: bool) -> None:

@@ -85,10 +85,6 @@ class Localiser(Closing):
     """Recognises the places of a map in images that are pushed into it.
 
     It does what `navigate` does with the same images. See :meth:`load` for the arguments.
-
-    Attributes:
-        map: the map.
-        min_p: see :meth:`load`.
     """
 
     def __init__(
@@ -216,9 +212,6 @@ class Localiser(Closing):
         self._everything = False
         self._last = self._last if stamp is None else stamp
         self._count += 1
-        return self._localisation(seen, stamp)
-
-    def _localisation(self, seen: FrameResult, stamp: float | None) -> Localisation:
         place, p = seen.prediction, seen.p_correct
         position = heading = None
         if place >= 0 and self._where is not None and self.map.positions is not None:

@@ -25,14 +25,9 @@ def run(
 ) -> Finished:
     """Compute the cells that ``out`` does not hold yet, and keep each as soon as it is finished.
 
-    The same numbers come out whatever the executor. Killed at any time, it loses the cells that
-    are running and no other.
-
-    Args:
-        plan: of :func:`~amusic_gym.evaluation.study.plan.make_plan`.
-        out: the folder; made if it is not there.
-        executor: ``serial``, ``process:N``, ``ray`` or ``ray:ADDRESS``.
-        report: is given one line per finished cell.
+    The same numbers come out whatever the executor: ``serial``, ``process:N``, ``ray`` or
+    ``ray:ADDRESS``. Killed at any time, it loses the cells that are running and no other.
+    ``report`` is given one line per finished cell.
 
     Raises:
         ValueError: for an unknown executor, or an ``out`` in the folder of a bank.
