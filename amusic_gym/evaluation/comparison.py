@@ -21,9 +21,8 @@ from amusic_gym.banks.ranking import ranked
 from amusic_gym.estimation.settings import SICSettings, statistic_label
 from amusic_gym.evaluation import metrics, rollout, store
 from amusic_gym.evaluation.audit import Audit, audit, parting
-from amusic_gym.evaluation.columns import COLUMNS, OTHERS, legend
 from amusic_gym.evaluation.contestants import Contestant
-from amusic_gym.evaluation.tables import Table, footnote, marked
+from amusic_gym.evaluation.tables import COLUMNS, OTHERS, Table, footnote, legend, marked
 from amusic_gym.policies.protocol import Context, Correction
 from amusic_gym.policies.trace import DONE, Trace
 from amusic_gym.routes.bank_images import BankImages

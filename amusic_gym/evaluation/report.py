@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from amusic_gym.estimation.settings import statistic_label
-from amusic_gym.evaluation.columns import COLUMNS
 from amusic_gym.evaluation.plots.labels import row_label
 from amusic_gym.evaluation.report_drives import Beside, page_data
-from amusic_gym.evaluation.tables import Table
+from amusic_gym.evaluation.tables import COLUMNS, Table
 from amusic_gym.policies.registry import MARK
 from amusic_gym.policies.trace import Trace
 from amusic_gym.routes.bank_images import BankImages
