@@ -11,6 +11,7 @@ from textwrap import fill
 
 import numpy as np
 from _cli import Parser, destination, run
+from amusic_baselines.scores import standardised
 from numpy.typing import NDArray
 
 from amusic_gym.banks.bank import ScoreBank
@@ -125,9 +126,7 @@ def draw_matrices(simulated: Sequence[ScoreBank], real: Sequence[ScoreBank], pat
             step = max(1, len(matrices) // SHOWN)
             for i, (name, scores) in enumerate(matrices[::step][:SHOWN]):
                 axes = figure.add_subplot(2, SHOWN, line * SHOWN + i + 1)
-                centred = scores - scores.mean(axis=1, keepdims=True)
-                z = centred / np.maximum(scores.std(axis=1, keepdims=True), 1e-12)
-                axes.imshow(z, cmap="gray", vmin=-2.5, vmax=3.0, aspect="auto")
+                axes.imshow(standardised(scores), cmap="gray", vmin=-2.5, vmax=3.0, aspect="auto")
                 axes.set_title(f"{kind}: {name}", fontsize=8)
                 axes.set_xlabel("place", fontsize=7)
                 axes.set_ylabel("frame", fontsize=7)

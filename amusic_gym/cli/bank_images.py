@@ -213,20 +213,17 @@ def add_images(parser: Parser) -> None:
 def add_tour(parser: Parser) -> None:
     """Add the arguments of ``tour``."""
     add = parser.add_argument
-    add(
-        "--part",
-        required=True,
-        metavar="REFERENCE:QUERY[@FIRST:STOP:STEP]",
-        help="two folders with as many images each; frame q is at place q; of both, images FIRST, "
-        "FIRST + STEP, … before STOP, or all",
-        **MANY,
+    parts = (
+        "two folders with as many images each; frame q is at place q; of both, images FIRST, "
+        "FIRST + STEP, … before STOP, or all"
     )
-    add(
-        "--conditions",
-        metavar="A,B",
-        help="of the query, a spell of 40 to 80 frames each: plain, night, blur, shift, fog, rain, "
-        "glare (default: all); NAME:STRENGTH, above 0 and up to 1, and A+B for both at once",
+    cut = "REFERENCE:QUERY[@FIRST:STOP:STEP]"
+    add("--part", required=True, metavar=cut, help=parts, **MANY)
+    spells = (
+        "of the query, a spell of 40 to 80 frames each: plain, night, blur, shift, fog, rain, "
+        "glare (default: all); NAME:STRENGTH, above 0 and up to 1, and A+B for both at once"
     )
+    add("--conditions", metavar="A,B", help=spells)
     add("--images", type=Path, metavar="DIR", help="write these, too, to DIR/reference, DIR/query")
     parser.add_shared("--seed", help="of the conditions (default: %(default)s)")
     parser.add_shared("--tolerance", required=True)

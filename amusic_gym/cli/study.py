@@ -29,13 +29,11 @@ def add_arguments(parser: Parser) -> None:
     add = parser.add_argument
     runs = "runs of one training with different seeds, as many as --seeds, or one"
     add("--selector", metavar="NAME=RUN,RUN...", help=runs, **MANY)
-    add(
-        "--rival",
-        metavar="NAME",
-        help="selectors that the others must beat, besides fixed subsets and rules "
-        "(default: those whose names begin with 'imitation')",
-        **{**MANY, "default": None},
+    beaten = (
+        "selectors that the others must beat, besides fixed subsets and rules (default: those"
+        " whose names begin with 'imitation')"
     )
+    add("--rival", metavar="NAME", help=beaten, **{**MANY, "default": None})
     add("--seeds", type=int, default=study.SEED_COUNT, metavar="N", help="(default: %(default)s)")
     add("--first-seed", type=int, default=0, metavar="S", help="the first of them (default: 0)")
     kinds = study.CONDITIONS

@@ -14,11 +14,9 @@ BLOCK = re.compile(
 
 
 def filled(document: str, blocks: Mapping[str, str]) -> str:
-    """The document with new text in some of its blocks.
+    """The Markdown document with new text, by name, in some of its blocks.
 
-    Args:
-        document: Markdown; blocks stand between ``<!-- made by: NAME -->`` and ``<!-- end -->``.
-        blocks: name → text.
+    These stand between ``<!-- made by: NAME -->`` and ``<!-- end -->``.
 
     Raises:
         ValueError: for a block that the document does not have exactly once.

@@ -28,14 +28,9 @@ def contact_sheets(
 ) -> list[Path]:
     """A PNG for each bank, policy and λ with failures: query, matched place and true place of each.
 
-    A failure is a wrong frame that has a true place. Of more than ``most``, an even spread.
-
-    Args:
-        folder: of the comparison.
-        out: the folder for the sheets; those of an earlier call that are not written again go.
-        policies: as ``results.json`` names them; none: all.
-        most: failures on a sheet, at least 1.
-        report: is given a line per trace.
+    A failure is a wrong frame that has a true place. Of more than ``most``, an even spread. Without
+    ``policies``, named as in ``results.json``, all are taken. Sheets of an earlier call in ``out``
+    that are not written again go. ``report`` is given a line per trace.
 
     Raises:
         FileNotFoundError: where there is no comparison, or an image is not there any more.

@@ -116,11 +116,7 @@ def _density(grid: NDArray[np.float64], sample: NDArray[np.float64]) -> NDArray[
 
 @lru_cache(maxsize=8)
 def simulated(techniques: int) -> Experience:
-    """Experience from simulated routes with T techniques, in order of rising cost.
-
-    Raises:
-        ValueError: for more techniques than can be simulated.
-    """
+    """Experience from simulated routes with T techniques, in order of rising cost."""
     from amusic_gym.routes.simulate import TECHNIQUE_NAMES, simulate
 
     if techniques > len(TECHNIQUE_NAMES):

@@ -75,10 +75,8 @@ def reliability(
 ) -> Path:
     """Observed against SIC-estimated correctness, pooled over traces, above a histogram.
 
-    Bars are 95 % Wilson intervals; frames without an estimate are left out.
-
-    Raises:
-        ValueError: no frame of any trace has an estimate.
+    Bars are 95 % Wilson intervals; frames without an estimate are left out, and it is a ValueError
+    where none has one.
     """
     from scipy.stats import binomtest
 

@@ -74,18 +74,11 @@ def study_rivals(
     draws: int | None = None,
     report: Report = lambda line: None,
 ) -> Findings:
-    """Selectors against all fixed subsets and rules; see `make_plan` and `run`.
+    """Selectors against all fixed subsets and rules; ``out`` keeps what is finished.
 
-    Args:
-        banks: with the same techniques and cost model.
-        selectors: name → policies, one for all draws or one for each.
-        out: the folder, which keeps what is finished.
-        executor: as `run` takes it.
-        policies: the rules; by default `rivals`.
-        statistic: as `make_plan` takes it.
-        conditions: likewise.
-        draws: of policies that draw and of motions; by default `DRAWS`.
-        report: as `run` takes it.
+    The banks have the same techniques and cost model; selectors are given by name, with policies
+    for all draws or one for each. The rules are `rivals` unless ``policies`` are given, the draws
+    of policies and of motions `DRAWS`. All else is as `make_plan` and `run` take it.
     """
     lineup = Lineup(
         policies=tuple(rivals(banks[0].techniques) if policies is None else policies),
