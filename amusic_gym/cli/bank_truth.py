@@ -30,10 +30,9 @@ def add_truth(parser: Parser) -> None:
 
 def check_truth(args: argparse.Namespace) -> None:
     """Refuse what contradicts itself, before any file is read."""
-    if args.truth_by is None and args.ground_truth is None:
-        args.truth_by = (
-            "position" if given(args, "reference_positions", "query_positions") else None
-        )
+    positions = given(args, "reference_positions", "query_positions")
+    if positions and args.truth_by is None and args.ground_truth is None:
+        args.truth_by = "position"
     by = args.truth_by
     for name in given(args, "metres", "heading", "plot") if by != "position" else ():
         option = "within" if name == "metres" else name
