@@ -187,7 +187,8 @@ def stream(rows: Any, windows: Any) -> None:
 def standardised(rows: NDArray[np.float32]) -> NDArray[np.float64]:
     """Rows (Q, R) less their mean, over their population σ."""
     wide = rows.astype(np.float64)
-    return (wide - wide.mean(axis=1, keepdims=True)) / wide.std(axis=1, keepdims=True)
+    deviation = wide.std(axis=1, keepdims=True)
+    return np.asarray((wide - wide.mean(axis=1, keepdims=True)) / deviation)
 
 
 def gather(
@@ -202,7 +203,8 @@ def gather(
     on_map = top[:, None] >= ages  # (K, F)
     flat = (frame * z.shape[1] + top)[:, None] - ages * (z.shape[1] + 1)
     terms = np.where(on_map, z.ravel().take(flat, mode="wrap"), 0.0)
-    return terms.sum(axis=1) / np.sqrt(on_map.sum(axis=1))
+    statistics: NDArray[np.float64] = terms.sum(axis=1) / np.sqrt(on_map.sum(axis=1))
+    return statistics
 
 
 def same(what: str, got: float, want: float, relative: float) -> None:

@@ -90,7 +90,7 @@ class FaissIndex:
     def search(self, query: Floats, lists: int) -> NDArray[np.int64]:
         """As `NumpyIndex.search`."""
         self._index.nprobe = lists
-        places = self._index.search(query[None], BEST)[1][0]
+        places: NDArray[np.int64] = self._index.search(query[None], BEST)[1][0]
         return places[places >= 0]
 
 
@@ -118,7 +118,7 @@ def route_of(places: int, queries: int) -> tuple[Floats, NDArray[np.int64], dict
 
 def unit(vectors: Floats) -> Floats:
     """Rows of length 1."""
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def search(places: int, lists: int, probes: Sequence[int], queries: int, rounds: int) -> list[Row]:

@@ -237,18 +237,14 @@ def _sentence(measured: Measured) -> str:
     return both if measured.unit == "byte" else f"{both} per {measured.unit}"
 
 
-def _parser() -> Parser:
+def main() -> None:
+    """Measure, print and write."""
     parser = Parser(prog="bench.py", description=(__doc__ or "").splitlines()[0])
     add = parser.add_argument
     add("--out", type=destination, required=True, metavar="FILE", help="JSON to write")
     add("--quick", action="store_true", help="small sizes: shows that it runs, not how fast it is")
     add("--only", nargs="+", metavar="KEY", choices=MEASUREMENTS, help="only these ratios")
-    return parser
-
-
-def main() -> None:
-    """Measure, print and write."""
-    args = _parser().parse_args()
+    args = parser.parse_args()
     if args.out.is_dir():
         raise ValueError(f"--out {args.out} is a folder; name a file")
     sizes = QUICK if args.quick else Sizes()

@@ -84,7 +84,8 @@ def sic_fit(samples: Samples, *, rival: bool) -> list[float]:
 
 def rounded(coefficients: NDArray[np.float64]) -> list[float]:
     """As the package's file has them."""
-    return np.round(coefficients, 4).tolist()
+    found: list[float] = np.round(coefficients, 4).tolist()
+    return found
 
 
 def calibrate(banks: list[ScoreBank], statistic: str, seed: int) -> dict[str, list[float]]:

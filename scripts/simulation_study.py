@@ -67,7 +67,7 @@ def measure(banks: Sequence[ScoreBank]) -> Rows:
 def column(rows: Rows, key: str) -> NDArray[np.float64]:
     """One measure over all rows that have it."""
     values = np.array([row[key] for row in rows.values()])
-    return values[np.isfinite(values)]
+    return np.asarray(values[np.isfinite(values)])
 
 
 def print_table(simulated: Rows, real: Rows) -> None:

@@ -94,6 +94,10 @@ def render(args: argparse.Namespace) -> None:
     conditions = list(dict.fromkeys(text.strip() for text in args.condition.split(",")))
     total = args.places * (1 + len(conditions))
     with Progress(True).bar("render", total, "images") as advance:
+
+        def one_more(*_: int) -> None:
+            advance(1)
+
         render_folders(
             args.out,
             conditions,
@@ -101,7 +105,7 @@ def render(args: argparse.Namespace) -> None:
             places=args.places,
             size=size,
             kind=args.kind,
-            progress=lambda *_: advance(1),
+            progress=one_more,
         )
     for name in ("reference", *conditions):
         print(f"{args.out / name}: {args.places} images")

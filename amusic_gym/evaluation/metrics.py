@@ -88,7 +88,7 @@ def auc(trace: Trace) -> float:
     Without one correct match it is 0, with a warning: a curve through no true positive has no area.
     """
     _warn_if_nothing_is_right(trace)
-    return _auc(trace)
+    return area(*curve(trace))
 
 
 def auc_vprbench(trace: Trace) -> float:
@@ -128,7 +128,7 @@ def summarise(trace: Trace) -> dict[str, Any]:
         "costs": trace.costs,
         "queries": trace.queries,
         "accuracy": float(trace.correct.mean()),
-        "auc": _auc(trace),
+        "auc": area(*curve(trace)),
         "auc_vprbench": _ranking(trace.correct, trace.confidence),
         "auc_paper": _ranking(trace.correct, trace.similarity),
         "ptr": ptr(trace),
@@ -253,10 +253,6 @@ def calibration_error(correct: ArrayLike, p: ArrayLike, bins: int = CALIBRATION_
     held = table.counts > 0
     gaps = np.abs(table.predicted - table.observed)[held]
     return float(gaps @ table.counts[held] / table.counts.sum())
-
-
-def _auc(trace: Trace) -> float:
-    return area(*curve(trace))
 
 
 def _ranking(correct: NDArray[np.bool_], score: NDArray[np.float64]) -> float:

@@ -24,9 +24,7 @@ class Oracle:
     def __init__(self, bank: ScoreBank, settings: SICSettings) -> None:
         self.bank = bank
         self.settings = settings
-        self.needs = Needs(
-            statistic=settings.statistic, carry=settings.carry, discount=settings.discount
-        )
+        self.needs = Needs(settings.statistic, settings.carry, settings.discount)
         self._order = np.argsort(bank.seconds, kind="stable").tolist()
 
     def reset(self, mask: NDArray[np.bool_]) -> None:

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from amusic_baselines.arguments import number, technique_parts, whole
 from amusic_baselines.scores import rows_of
@@ -53,7 +52,10 @@ class TopologicalFilter:
         new = (self._rates == 0) & (high > low)
         self._rates[new] = math.log(self.delta) / (high - low)[new]
         evidence = (self._rates * (rows - rows.max(axis=1, keepdims=True))).sum(axis=0)  # (R,)
-        before = self._belief if frame == 0 else self._moved()
+        before = self._belief
+        if frame > 0:  # moves of one frame; what leaves the map is lost
+            spread = np.convolve(before, np.ones(self.moves))
+            before = spread[self.back : self.back + before.size]
         with np.errstate(divide="ignore"):  # of places that cannot be reached
             logs = np.log(before) + evidence
         belief = np.exp(logs - logs.max())
@@ -63,11 +65,6 @@ class TopologicalFilter:
         near = self._belief[first : peak + self.moves + 1]
         mass = float(near.sum())
         return first + round(float(near @ np.arange(near.size)) / mass), mass
-
-    def _moved(self) -> NDArray[np.float64]:
-        """Belief (R,) after one frame's moves; what leaves the map is lost."""
-        spread = np.convolve(self._belief, np.ones(self.moves))
-        return spread[self.back : self.back + self._belief.size]
 
 
 def xu(argument: str | None, context: Context) -> TopologicalFilter:
