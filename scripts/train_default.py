@@ -22,6 +22,8 @@ TIMESTEPS = 2_000_000
 SEED = 0
 REWARD = "ground_truth"
 """Of the simulated routes: a selector that is rewarded with p̂ learns to exploit its errors."""
+IDLE_WEIGHTS = (0.02, 0.5)
+"""λ of the one that may idle: at 0.5 it costs a few hundredths, and beyond it is lost too often."""
 
 
 def is_same(out: Path, folder: Path) -> bool:
@@ -101,6 +103,7 @@ def main(arguments: list[str] | None = None) -> None:
         reward=REWARD,
         threads=given.threads,
         allow_idle=given.allow_idle,
+        **({"compute_weights": IDLE_WEIGHTS} if given.allow_idle else {}),
     )
     learn(given.out, config, resume=(given.out / CONFIG).exists())
     idles = " and may idle" if given.allow_idle else ""
