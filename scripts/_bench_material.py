@@ -1,7 +1,5 @@
 """What all measurements of the bench share: the bank, the checks, the sizes and plain NumPy."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -23,8 +21,7 @@ TOLERANCE = 5
 PLAIN: dict[str, Any] = {"statistic": "evidence", "carry": False, "discount": False}
 """What the NumPy side computes, too."""
 
-BYTES_PER_PLACE = 4 + 8 + 8
-"""Of a row add: read a float32 score, read and write a float64 sum."""
+BYTES_PER_PLACE = 4 + 8 + 8  # of a row add: read a float32 score, read and write a float64 sum
 
 
 class Sizes(NamedTuple):
@@ -81,17 +78,10 @@ class Material:
     def stepper(
         self, env: Any, actions: Iterator[Any], start: Any, behind: int
     ) -> Callable[[], object]:
-        """A route played and checked, begun again and brought to where timing starts.
+        """A route played and checked, begun again at ``start`` and brought to where timing starts.
 
-        Args:
-            env: single or vector.
-            actions: of the steps.
-            start: query at which each route begins.
-            behind: times the timed frames sooner: of two sides on the same frames, the second
-                would find their rows in the cache.
-
-        Returns:
-            What steps through the frames of one round.
+        With ``behind`` 1 that is sooner by the timed frames: of two sides on the same frames, the
+        second would find their rows in the cache. What is returned steps through one round.
         """
         sizes = self.sizes
 
@@ -197,10 +187,8 @@ def stream(rows: Any, windows: Any) -> None:
 def standardised(rows: NDArray[np.float32]) -> NDArray[np.float64]:
     """Rows (Q, R) less their mean, over their population σ."""
     wide = rows.astype(np.float64)
-    z: NDArray[np.float64] = (wide - wide.mean(axis=1, keepdims=True)) / wide.std(
-        axis=1, keepdims=True
-    )
-    return z
+    deviation = wide.std(axis=1, keepdims=True)
+    return np.asarray((wide - wide.mean(axis=1, keepdims=True)) / deviation)
 
 
 def gather(
@@ -220,10 +208,6 @@ def gather(
 
 
 def same(what: str, got: float, want: float, relative: float) -> None:
-    """Refuse to time what is wrong.
-
-    Raises:
-        RuntimeError: if the two differ by more than ``relative``.
-    """
+    """Refuse to time what is wrong: what differs by more than ``relative``."""
     if not math.isclose(got, want, rel_tol=relative, abs_tol=relative):
         raise RuntimeError(f"{what} is {got}, but NumPy says {want}: nothing wrong is timed")

@@ -1,7 +1,5 @@
 """What a user waits for: the import, the first step, a technique on an image, a live frame."""
 
-from __future__ import annotations
-
 import os
 import statistics
 import subprocess
@@ -28,11 +26,9 @@ TECHNIQUES = ("hog", "cohog", "calc", "netvlad")
 """The paper's, whose speed is told: none needs a file or an optional part."""
 
 ROOT = Path(__file__).resolve().parent.parent
-STATISTICS = {"": SICSettings.statistic, "belief_": "belief"}
-"""Prefix of the keys → statistic."""
+STATISTICS = {"": SICSettings.statistic, "belief_": "belief"}  # prefix of the keys → statistic
 
-Report = Callable[[str, float, str], None]
-"""Takes a key, its value, and a sentence on it."""
+Report = Callable[[str, float, str], None]  # takes a key, its value, and a sentence on it
 
 PROGRAM = """
 import time

@@ -1,7 +1,5 @@
 """What all scripts import first: it finds the packages of this checkout, installed or not."""
 
-from __future__ import annotations
-
 import os
 import sys
 from functools import partial

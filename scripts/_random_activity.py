@@ -1,7 +1,5 @@
 """Drives under random activity, and how well p̂ and the techniques' statistics did on them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -21,11 +19,8 @@ from amusic_gym.routes.retime import retime
 RATES = (0.1, 0.3, 0.6, 1.0)
 """With one of these chances, drawn for the whole drive, each technique runs on each frame."""
 
-BINS = 10
-"""Of the calibration error and of the figure."""
-
-SURE = 0.9
-"""A place of this p̂ or more is one that somebody may act on."""
+BINS = 10  # of the calibration error and of the figure
+SURE = 0.9  # a place of this p̂ or more is one that somebody may act on
 
 TRACED = ("confidence", "similarity", "p_correct", "ran")
 RECORDED, RETIMED = "as recorded", "re-timed"

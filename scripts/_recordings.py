@@ -1,12 +1,10 @@
 """The recordings of docs/results.md, and tours of them, as score banks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.extraction import extract
+from amusic_gym.cli.images import extract_tour
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.tours import make_tour
 from amusic_gym.techniques import make_technique
@@ -60,16 +58,6 @@ def make_banks(data: Path, kind: str, out: Path) -> list[ScoreBank]:
         folder = out / "banks" / name
         if not folder.exists():
             tour = make_tour(pairs_of, conditions, seed=seed)
-            extract(
-                tour.reference,
-                tour.query,
-                made,
-                tolerance=TOLERANCE,
-                ground_truth=tour.ground_truth(TOLERANCE),
-                source=tour.source,
-                name=name,
-                out=folder,
-                progress=True,
-            )
+            extract_tour(tour, made, TOLERANCE, name=name, out=folder, progress=True)
         banks.append(ScoreBank.load(folder))
     return banks

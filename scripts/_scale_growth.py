@@ -1,7 +1,5 @@
 """What grows: memory and time of a frame with places, techniques, routes, frames, descriptors."""
 
-from __future__ import annotations
-
 import statistics
 import time
 import tracemalloc

@@ -1,13 +1,11 @@
 """What a coarse index would change: time and memory, and accuracy after SIC."""
 
-from __future__ import annotations
-
 import importlib
 import warnings
 from collections.abc import Sequence
 from itertools import cycle
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from _scale_growth import MIB, Row, milliseconds
@@ -17,9 +15,9 @@ from numpy.typing import NDArray
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.ranking import highest
 from amusic_gym.cli.demo_tours import FIRST_WORLD, WORLDS
+from amusic_gym.cli.images import extract_tour
 from amusic_gym.evaluation.metrics import summarise
 from amusic_gym.evaluation.rollout import rollout
-from amusic_gym.extraction import extract
 from amusic_gym.policies.protocol import Context
 from amusic_gym.routes.simulated_descriptors import smooth
 from amusic_gym.routes.tours import make_tour
@@ -39,18 +37,7 @@ FILLS = ("floor", "mean", "none")
 Floats = NDArray[np.float32]
 
 
-class Index(Protocol):
-    """Lists of places, by the nearest of some centroids."""
-
-    name: str
-
-    def search(self, query: Floats, lists: int) -> NDArray[np.int64]:
-        """The best places (n,) of the nearest lists, at most `BEST`, in no order."""
-        ...
-
-
-BEST = 50
-"""Places that a search gives: SIC's K."""
+BEST = 50  # places that a search gives: SIC's K
 
 
 class NumpyIndex:
@@ -80,7 +67,7 @@ class NumpyIndex:
         return np.concatenate([(part @ self.centroids.T).argmax(axis=1) for part in parts])
 
     def search(self, query: Floats, lists: int) -> NDArray[np.int64]:
-        """As `Index` says."""
+        """The best places (n,) of the nearest lists, at most `BEST`, in no order."""
         near = highest(self.centroids @ query, lists)
         scores = [self.stored[self.edges[at] : self.edges[at + 1]] @ query for at in near]
         places = [self.places[self.edges[at] : self.edges[at + 1]] for at in near]
@@ -101,7 +88,7 @@ class FaissIndex:
         self._index.add(descriptors)
 
     def search(self, query: Floats, lists: int) -> NDArray[np.int64]:
-        """As `Index` says."""
+        """As `NumpyIndex.search`."""
         self._index.nprobe = lists
         places: NDArray[np.int64] = self._index.search(query[None], BEST)[1][0]
         return places[places >= 0]
@@ -131,8 +118,7 @@ def route_of(places: int, queries: int) -> tuple[Floats, NDArray[np.int64], dict
 
 def unit(vectors: Floats) -> Floats:
     """Rows of length 1."""
-    made: Floats = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    return made
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def search(places: int, lists: int, probes: Sequence[int], queries: int, rounds: int) -> list[Row]:
@@ -145,11 +131,7 @@ def search(places: int, lists: int, probes: Sequence[int], queries: int, rounds:
     """
     descriptors, truth, seen = route_of(places, queries)
     faiss = load_faiss()
-    index: Index
-    if faiss is None:
-        index = NumpyIndex(descriptors, lists)
-    else:
-        index = FaissIndex(descriptors, lists, faiss)
+    index = FaissIndex(descriptors, lists, faiss) if faiss else NumpyIndex(descriptors, lists)
 
     def exact(query: Floats, _: int) -> NDArray[np.int64]:
         return highest(descriptors @ query, BEST)
@@ -184,16 +166,7 @@ def rendered(out: Path, places: int) -> ScoreBank:
         render_folders(images, [world.condition], seed=seed, places=places, kind=world.kind)
         parts.append((images / "reference", images / world.condition))
     tour = make_tour(parts, seed=1)
-    truth = tour.ground_truth(TOLERANCE)
-    return extract(
-        tour.reference,
-        tour.query,
-        TECHNIQUES,
-        tolerance=TOLERANCE,
-        ground_truth=truth,
-        seconds=SECONDS,
-        cache=out / "cache",
-    )
+    return extract_tour(tour, TECHNIQUES, TOLERANCE, seconds=SECONDS, cache=out / "cache")
 
 
 def shortened(bank: ScoreBank, share: float, fill: str) -> ScoreBank:
@@ -217,11 +190,7 @@ def shortened(bank: ScoreBank, share: float, fill: str) -> ScoreBank:
 
 
 def accuracy(banks: Sequence[ScoreBank], statistic: str) -> Row:
-    """Means over routes: ``single`` technique, mean over them, and ``music``, all of them.
-
-    Returns:
-        ``single`` and ``music`` accuracy, ``single_auc`` and ``music_auc``.
-    """
+    """Means over routes of each ``single`` technique and of ``music``, all of them; and AUCs."""
     rows: dict[str, list[Row]] = {"single": [], "music": []}
     for bank in banks:
         for spec in (*(f"single:{name}" for name in bank.techniques), "music"):

@@ -1,7 +1,5 @@
 """Fair timing of two sides in one run: one thread, interleaved, one warm-up, medians."""
 
-from __future__ import annotations
-
 import os
 import statistics
 import time

@@ -5,8 +5,6 @@ where the selector reads the mean of these features, with 95 % of a bootstrap ov
 Each FEATURE is NAME of the route's group or technique.NAME.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -3,29 +3,13 @@
     python scripts/bench.py --out FILE.json
 
 The sides take turns, after one warm-up, on one thread unless it says two; each figure is a median.
-SIC is compared with NumPy's gather before it is timed, the environments with the true places.
-
-| ratio | of what | better |
-|---|---|---|
-| sic_vs_numpy | one SIC correction: time of the gather in NumPy / ours | more |
-| sic_share_of_limit | bytes/s of the accumulator's row add / of a plain stream | near 1 |
-| vector_env_vs_cartpole_vector | steps/s of the vector env / Gymnasium's CartPole one | more |
-| single_env_vs_cartpole | steps/s of the unwrapped single env / unwrapped CartPole | more |
-| half_step_vs_whole | time of the vector step: a random half of the techniques / all | less |
-| carry_step_vs_without | time of the vector step: places carried on / not, no discount | near 1 |
-| discount_step_vs_without | … with the discount / without, places carried on | near 1 |
-| belief_step_vs_evidence | time of the single env's step: statistic `belief` / `evidence` | less |
-| belief_two_threads_vs_one | steps/s of the vector env, `belief`, on two threads / on one | more |
-| ppo_vs_constant_env | wall time of PPO on the env / on one that returns constants | near 1 |
-
-All with the statistic `evidence`, γ = 1, nothing carried on and no discount, unless it says so. And
+SIC is compared with NumPy's gather before it is timed, the environments with the true places. All
+with the statistic `evidence`, γ = 1, nothing carried on and no discount, unless it says so. And
 what a user waits for, with the defaults, which is this machine's: import_seconds,
 first_step_cold_seconds, first_step_cached_seconds, TECHNIQUE_describe_ms,
 live_hog_frames_per_second and live_overhead_ms (per frame, beyond the techniques that ran); with a
-`belief_` before it, of that statistic.
+`belief_` before it, of that statistic. docs/performance.md says what each ratio is.
 """
-
-from __future__ import annotations
 
 import inspect
 import json
@@ -182,7 +166,7 @@ def measure_single_env(material: Material) -> Measured:
 
 
 def measure_pair(material: Material, pair: tuple[Any, ...]) -> Measured:
-    """Steps of one environment with two settings, see `PAIRS`.
+    """Time of a step of one environment with two settings, see `PAIRS`.
 
     The correlation of a row with the one before it is kept with the bank, as mean, deviation and
     candidates are: none of them is timed.
@@ -253,18 +237,14 @@ def _sentence(measured: Measured) -> str:
     return both if measured.unit == "byte" else f"{both} per {measured.unit}"
 
 
-def _parser() -> Parser:
+def main() -> None:
+    """Measure, print and write."""
     parser = Parser(prog="bench.py", description=(__doc__ or "").splitlines()[0])
     add = parser.add_argument
     add("--out", type=destination, required=True, metavar="FILE", help="JSON to write")
     add("--quick", action="store_true", help="small sizes: shows that it runs, not how fast it is")
     add("--only", nargs="+", metavar="KEY", choices=MEASUREMENTS, help="only these ratios")
-    return parser
-
-
-def main() -> None:
-    """Measure, print and write."""
-    args = _parser().parse_args()
+    args = parser.parse_args()
     if args.out.is_dir():
         raise ValueError(f"--out {args.out} is a folder; name a file")
     sizes = QUICK if args.quick else Sizes()

@@ -4,8 +4,6 @@ The routes are those of the statistic's own kind: steady drives through changing
 any motion for the belief.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -122,17 +120,13 @@ def calibrate(banks: list[ScoreBank], statistic: str, seed: int) -> dict[str, li
 def main(arguments: list[str] | None = None) -> None:
     """Parse, simulate, fit, write."""
     parser = Parser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--routes", type=int, default=300, help="simulated routes (300)")
-    parser.add_argument("--seed", type=int, default=20, help="first seed of the routes (20)")
-    parser.add_argument(
-        "--statistic",
-        nargs="+",
-        choices=STATISTICS,
-        default=list(STATISTICS),
-        help="of which; the others stay as they are (all)",
-    )
+    add = parser.add_argument
+    add("--routes", type=int, default=300, help="simulated routes (300)")
+    add("--seed", type=int, default=20, help="first seed of the routes (20)")
+    which = "of which; the others stay as they are (all)"
+    add("--statistic", nargs="+", choices=STATISTICS, default=list(STATISTICS), help=which)
     default = Path(__file__).parent.parent / "amusic_gym" / "estimation" / FILE
-    parser.add_argument("--out", type=destination, default=default, help="the package's file")
+    add("--out", type=destination, default=default, help="the package's file")
     given = parser.parse_args(arguments)
     command = f"python scripts/calibrate.py --routes {given.routes} --seed {given.seed}"
     table: dict[str, Any] = {"made_by": command, "version": __version__, "coefficients": {}}

@@ -5,8 +5,6 @@ re-timed, with each technique's own statistic. Writes correctness.json, of the s
 reliability.png, of the random activity tables.md and reliability_random.png.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -31,8 +29,7 @@ from amusic_gym.utils.storage import write_whole
 COLOURS = ("#0072B2", "#D55E00")
 MARKS = ("o", "s")
 LEAST = 0.7  # frames at which the bars begin, on a logarithmic scale
-FEW = 30
-"""Bins of fewer frames are hollow: their share says little."""
+FEW = 30  # bins of fewer frames are hollow: their share says little
 
 
 def roll(bank: ScoreBank, statistic: str) -> list[Trace]:
@@ -50,11 +47,8 @@ def draw_reliability(
 ) -> Path:
     """Draw share right against mean p̂; no intervals, as frames of one drive are not independent.
 
-    Args:
-        curves: name → ``predicted``, ``observed`` (None in empty bins) and ``counts``, each (B,);
-            at most two.
-        title: of the figure.
-        path: the PNG to write.
+    ``curves``, two at most: name → ``predicted``, ``observed`` (None in empty bins) and ``counts``,
+    each (B,).
     """
     with figure_at(path, 6.4, 7.0) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.4, 1])

@@ -10,8 +10,6 @@ with --docs DIR writes them, and the figures, into DIR's documents. What is fini
 done again.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import time
@@ -40,19 +38,13 @@ EVERY = 10.0  # seconds between two lines of progress
 
 @dataclass(frozen=True)
 class Study:
-    """A kind of results.
+    """A kind of results."""
 
-    Attributes:
-        routes: as `_recordings.make_banks` takes them.
-        rules: techniques → policies that the selectors stand against.
-        ships: name → policy, the selectors that ship.
-        how: further arguments of `study_rivals`.
-    """
-
-    routes: tuple[str, ...]
+    routes: tuple[str, ...]  # as `_recordings.make_banks` takes them
+    # techniques → policies that the selectors stand against
     rules: Callable[[Sequence[str]], list[str]]
-    ships: Mapping[str, str]
-    how: Mapping[str, Any]
+    ships: Mapping[str, str]  # name → policy, the selectors that ship
+    how: Mapping[str, Any]  # further arguments of `study_rivals`
 
 
 STEADY = {"ships": "ppo", "ships, may idle": "ppo:idle"}
@@ -74,17 +66,13 @@ def texts_of(kind: str, findings: Findings) -> dict[str, str]:
     for condition in findings.settings["conditions"]:
         title = f"{kind.capitalize()}, {CONDITIONS[condition]}"
         boards.append(leaderboard(findings, condition, title).markdown())
-        said = [*standing(findings, condition), *where_ahead(findings, condition)]
-        results += [matches_table(findings, condition).markdown(), bullets(said)]
+        sentences = [*standing(findings, condition), *where_ahead(findings, condition)]
+        results.append(matches_table(findings, condition).markdown())
+        results.append("\n".join(f"- {sentence}" for sentence in sentences))
     if kind == "motions":
         shown = [row for row in findings.audit if row["front"] in STUDIES[kind].ships]
         results.append(audit_table(findings, shown).markdown())
     return {RESULTS: "\n\n".join(results), LEADERBOARD: "\n\n".join(boards)}
-
-
-def bullets(sentences: Sequence[str]) -> str:
-    """A Markdown list."""
-    return "\n".join(f"- {sentence}" for sentence in sentences)
 
 
 def study(kind: str, args: argparse.Namespace, data: Path) -> Findings:
@@ -141,12 +129,8 @@ def _parser() -> Parser:
     add("--out", type=destination, required=True, metavar="DIR", help="the folder to write")
     yours = "besides those that ship: ppo:RUN; one, or five of one training"
     add("--selector", metavar="NAME=POLICY,...", help=yours, **MANY)
-    add(
-        "--policy",
-        metavar="POLICY",
-        help="besides the rules and peers: as compare takes it",
-        **MANY,
-    )
+    besides = "besides the rules and peers: as compare takes it"
+    add("--policy", metavar="POLICY", help=besides, **MANY)
     add("--costs", choices=COST_MODELS, default="paper", help="cost model (default: paper)")
     add("--docs", type=Path, metavar="DIR", help="the folder of the documents to write into")
     parser.add_shared("--executor")

@@ -5,15 +5,13 @@ is finished in DIR is not measured again unless code changes. By default it take
 minutes of one processor and 5 GiB of memory.
 """
 
-from __future__ import annotations
-
 from _timing import one_thread
 
 one_thread()
 
 import argparse  # noqa: E402
 import sys  # noqa: E402
-from collections.abc import Callable, Iterator, Sequence  # noqa: E402
+from collections.abc import Callable, Iterator  # noqa: E402
 from functools import partial  # noqa: E402
 from itertools import chain  # noqa: E402
 from pathlib import Path  # noqa: E402
@@ -66,12 +64,7 @@ QUICK = Sizes(
 
 
 class Measured:
-    """Rows in a folder, each measured once.
-
-    Args:
-        out: the folder.
-        total: of rows, for the bar.
-    """
+    """Rows in the folder ``out``, each measured once; ``total`` of them, for the bar."""
 
     def __init__(self, out: Path, total: int) -> None:
         self._folder = out / "cells"
@@ -99,28 +92,22 @@ def figure(number: float) -> str:
 def growth(sizes: Sizes, measured: Measured) -> Iterator[Table]:
     """Time and memory of a step, by what grows."""
     few = sizes.techniques[:3][-1]
-    kinds: list[tuple[str, Sequence[int], Callable[[int], tuple[int, int, int, int]]]] = [
-        ("places", sizes.places, lambda n: (n, few, 1, sizes.drive)),
-        ("techniques", sizes.techniques, lambda n: (sizes.usual, n, 1, sizes.drive)),
-        ("routes", sizes.routes, lambda n: (sizes.usual, few, n, sizes.drive)),
-        ("frames", sizes.frames, lambda n: (sizes.usual, 1, 1, n)),
-    ]
-    for what, numbers, shape in kinds:
+    for what in ("places", "techniques", "routes", "frames"):
+        usual = {"places": sizes.usual, "techniques": few, "routes": 1, "frames": sizes.drive}
+        if what == "frames":
+            usual["techniques"] = 1
         rows = []
-        for number in numbers:
+        for number in getattr(sizes, what):
+            shape = tuple({**usual, what: number}.values())
             both = [
-                measured.row(f"{each} {shape(number)}", partial(drive, each, *shape(number)))
-                for each in STATISTICS
+                measured.row(f"{each} {shape}", partial(drive, each, *shape)) for each in STATISTICS
             ]
             kept = [figure(row["mib"]) for row in both]
             times = [figure(row["ms"]) for row in both]
             rows.append([f"{number:,}", *times, *kept, figure(both[0]["bank_mib"])])
-        given = dict(
-            zip(("places", "techniques", "routes", "frames"), shape(numbers[0]), strict=True)
-        )
         fixed = ", ".join(
             f"{value:,} {name[: -1 if value == 1 else None]}"
-            for name, value in given.items()
+            for name, value in usual.items()
             if name != what
         )
         heads = [

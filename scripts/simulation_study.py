@@ -4,8 +4,6 @@ The recordings are the banks given by --bank; with the variable AMUSIC_DATA, Cor
 --speeds, a table of the AUC on simulated routes driven at other speeds instead.
 """
 
-from __future__ import annotations
-
 import io
 import os
 from collections.abc import Sequence
@@ -17,6 +15,7 @@ from textwrap import fill
 import numpy as np
 from _cli import Parser, destination, run
 from amusic_baselines import make_policy
+from amusic_baselines.scores import standardised
 from numpy.typing import NDArray
 
 from amusic_gym.banks.bank import ScoreBank
@@ -62,8 +61,7 @@ def corrected(bank: ScoreBank, statistic: str) -> NDArray[np.int64]:
     env = TechniqueSelectionVectorEnv(len(alone), bank, statistic=statistic)
     env.reset(seed=0)
     infos = [env.step(alone)[-1] for _ in range(bank.queries)]
-    places: NDArray[np.int64] = np.stack([info["prediction"] for info in infos], axis=1)
-    return places
+    return np.stack([info["prediction"] for info in infos], axis=1)
 
 
 def measure(banks: Sequence[ScoreBank]) -> Rows:
@@ -80,8 +78,7 @@ def measure(banks: Sequence[ScoreBank]) -> Rows:
 def column(rows: Rows, key: str) -> NDArray[np.float64]:
     """One measure over all rows that have it."""
     values = np.array([row[key] for row in rows.values()])
-    finite: NDArray[np.float64] = values[np.isfinite(values)]
-    return finite
+    return np.asarray(values[np.isfinite(values)])
 
 
 def driven(bank: ScoreBank, speed: float, rng: np.random.Generator) -> ScoreBank:
@@ -174,9 +171,7 @@ def draw_matrices(simulated: Sequence[ScoreBank], real: Sequence[ScoreBank], pat
             step = max(1, len(matrices) // SHOWN)
             for i, (name, scores) in enumerate(matrices[::step][:SHOWN]):
                 axes = figure.add_subplot(2, SHOWN, line * SHOWN + i + 1)
-                centred = scores - scores.mean(axis=1, keepdims=True)
-                z = centred / np.maximum(scores.std(axis=1, keepdims=True), 1e-12)
-                axes.imshow(z, cmap="gray", vmin=-2.5, vmax=3.0, aspect="auto")
+                axes.imshow(standardised(scores), cmap="gray", vmin=-2.5, vmax=3.0, aspect="auto")
                 axes.set_title(f"{kind}: {name}", fontsize=8)
                 axes.set_xlabel("place", fontsize=7)
                 axes.set_ylabel("frame", fontsize=7)

@@ -1,7 +1,5 @@
 """Train FAB-MAP's vocabulary and Chow-Liu tree on a folder of images of other places."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from _cli import Parser, destination, run

@@ -1,7 +1,5 @@
 """Train the NetVLAD that ships, on rendered worlds and random collages only."""
 
-from __future__ import annotations
-
 from _cli import Parser, destination, run
 
 from amusic_gym.pretraining import add_arguments, train

@@ -1,7 +1,5 @@
 """What a selector makes of the observation's features."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 

@@ -18,7 +18,6 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.evaluation import figures, store
 from amusic_gym.evaluation.audit import audit
-from amusic_gym.evaluation.columns import COLUMNS
 from amusic_gym.evaluation.comparison import (
     SHOWN,
     Comparison,
@@ -32,6 +31,7 @@ from amusic_gym.evaluation.contestants import Contestant, all_subsets, check_wei
 from amusic_gym.evaluation.figures import draw
 from amusic_gym.evaluation.metrics import summarise
 from amusic_gym.evaluation.rollout import rollout
+from amusic_gym.evaluation.tables import COLUMNS
 from amusic_gym.extraction.code import key_of
 from amusic_gym.policies.protocol import Context
 from amusic_gym.policies.trace import Trace

@@ -17,14 +17,13 @@ from small_training import SMALL
 from study_cases import EVERYBODY, learned, plan_of
 
 from amusic_gym.evaluation import study
-from amusic_gym.evaluation.columns import legend
 from amusic_gym.evaluation.comparison import SHOWN, compare, table
 from amusic_gym.evaluation.contestants import contestants
 from amusic_gym.evaluation.report import write_report
 from amusic_gym.evaluation.study.figures import _styles
 from amusic_gym.evaluation.study.lineup import Lineup
 from amusic_gym.evaluation.study.tables import tables
-from amusic_gym.evaluation.tables import Table, footnote, marked
+from amusic_gym.evaluation.tables import Table, footnote, legend, marked
 
 pytestmark = pytest.mark.slow
 

@@ -26,7 +26,8 @@ from live_cases import (
 )
 
 from amusic_gym.evaluation.rollout import Job, rollout, rollouts
-from amusic_gym.live.navigation import FrameResult, TraceWriter, navigate
+from amusic_gym.live.drives import FrameResult
+from amusic_gym.live.navigation import TraceWriter, navigate
 from amusic_gym.policies.protocol import Localiser
 from amusic_gym.policies.trace import CSV_COLUMNS, Trace
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+
 import numpy as np
 import pytest
 import torch
@@ -9,7 +12,8 @@ from amusic_agents.adapter import SB3VecEnv
 from amusic_agents.config import NetworkConfig, TrainingConfig
 from amusic_agents.network import ABSENT, ROUTE_WIDTH, WIDTH, SelectorNetwork
 from amusic_agents.ppo import PPOLearner
-from amusic_agents.selector import TrainedSelector
+from amusic_agents.selector import TrainedSelector, load_selector
+from amusic_agents.shipped import shipped
 from env_cases import random_bank
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -164,3 +168,26 @@ def test_every_technique_starts_near_the_first_logit(first):
 def test_sizes_out_of_range_are_refused(name, size):
     with pytest.raises(ValueError, match=rf"{name} is {size!r}; give a whole number from 1 to"):
         NetworkConfig(**{name: size})
+
+
+def test_beyond_its_range_a_selector_acts_as_at_the_nearest_end():
+    bank = random_bank(4, queries=60)
+    selector = load_selector(allow_idle=True)
+    low, high = selector.compute_weights
+    for weight, nearest in ((low / 3, low), (high, high), (high * 20, high)):
+        ran = [rollout(selector, bank, name="s", compute_weight=w).ran for w in (weight, nearest)]
+        np.testing.assert_array_equal(*ran)
+    selector.compute_weights = None
+    far = rollout(selector, bank, name="s", compute_weight=high * 20).ran
+    assert (far != ran[0]).any()
+
+
+@pytest.mark.parametrize("wrong", [[0.0, 1.0], [2.0, 1.0], [1.0], "ab", 3, [1.0, None]])
+def test_a_range_that_no_training_has_is_refused(tmp_path, wrong):
+    shutil.copytree(shipped(), tmp_path / "run")
+    path = tmp_path / "run" / "config.json"
+    config = json.loads(path.read_text())
+    config["training"]["compute_weights"] = wrong
+    path.write_text(json.dumps(config))
+    with pytest.raises(ValueError, match="is damaged"):
+        load_selector(tmp_path / "run")

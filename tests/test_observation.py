@@ -9,16 +9,18 @@ from collections import defaultdict
 import numpy as np
 import oracle
 import pytest
-from env_cases import assert_same, play, random_actions
+from env_cases import assert_same, play, random_actions, random_bank
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.envs.observation import (
     ROUTE_FEATURES,
     TECHNIQUE_FEATURES,
+    limit_compute_weight,
     observation_names,
     observation_size,
 )
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.estimation.prediction import SMOOTHING
 from amusic_gym.estimation.settings import STATISTICS
 
@@ -331,3 +333,30 @@ def test_observation_holds_nothing_of_techniques_that_did_not_run(bank):
     actions[:, 2] = 0
     both = [play(TechniqueSelectionEnv(b, compute_weight=0.2), actions) for b in (bank, other)]
     assert_same(*both)
+
+
+@pytest.mark.parametrize(
+    ("weight", "nearest"),
+    [
+        (0.001, 0.02),
+        (0.0199, 0.02),
+        (0.02, 0.02),
+        (0.3, 0.3),
+        (0.5, 0.5),
+        (0.51, 0.5),
+        (100.0, 0.5),
+    ],
+)
+def test_a_compute_weight_out_of_a_range_is_seen_as_its_nearest_end(weight, nearest):
+    def seen(compute_weight):
+        banks = [random_bank(1, techniques=3), random_bank(2, techniques=2)]
+        env = TechniqueSelectionVectorEnv(2, banks, slots=3, compute_weight=compute_weight)
+        env.reset(seed=0, options={"bank": np.arange(2)})
+        return env.step(np.ones((2, 3)))[0]
+
+    given = seen(weight)
+    before = given.copy()
+    limited = limit_compute_weight(given, 0.02, 0.5)
+    np.testing.assert_allclose(limited, seen(nearest), rtol=0, atol=2e-7)  # shares are float32
+    assert (limited is given) == (weight == nearest)
+    np.testing.assert_array_equal(given, before)

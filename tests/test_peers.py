@@ -18,11 +18,12 @@ from amusic_baselines.mpf import (
     MultiProcessFusion,
     dissenter,
     observations,
+    ratio,
     sequence_start,
     viterbi,
 )
 from amusic_baselines.plurality import count_votes
-from amusic_baselines.scores import best_outside, scaled, standardised
+from amusic_baselines.scores import scaled, standardised
 from amusic_baselines.switchhit import Experience, SwitchHit, simulated
 from env_cases import noisy_bank, random_bank
 from live_cases import pair
@@ -271,16 +272,16 @@ def test_standardised_is_the_z_score_of_sic(four):
     np.testing.assert_array_equal(scaled(np.array([[2.0, 4.0, 3.0]])), [[0.0, 1.0, 0.5]])
 
 
-def test_best_outside():
-    values = np.array([5.0, 9.0, 7.0, 1.0, 2.0])
-    assert best_outside(values, 1, 0) == 7.0
-    assert best_outside(values, 1, 1) == 2.0
-    assert best_outside(values, 4, 2) == 9.0
-    assert best_outside(values, 2, 2) is None
-    assert best_outside(values, 0, 10**6) is None
-
-
 # ---- Multi-Process Fusion ------------------------------------------------------------------------
+
+
+def test_the_ratio_is_to_the_best_place_outside():
+    values = -np.array([5.0, 1.0, 3.0, 9.0, 8.0])
+    assert ratio(values, 1, 0) == 1.0 / 3.0
+    assert ratio(values, 1, 1) == 1.0 / 8.0
+    assert ratio(values, 4, 2) == 8.0
+    assert ratio(values, 2, 2) == 0.0
+    assert ratio(values, 0, 10**6) == 0.0
 
 
 def test_observations_are_floored():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,8 @@ from hypothesis.extra import numpy as arrays
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.ranking import ranked, true_ranks
 from amusic_gym.evaluation import metrics
-from amusic_gym.evaluation.comparison import compare
+from amusic_gym.evaluation.comparison import LIST_COLUMNS, compare, ranked_lists
 from amusic_gym.evaluation.contestants import contestants
-from amusic_gym.evaluation.lists import COLUMNS, write_lists
 from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.policies.protocol import Context
 from amusic_gym.policies.trace import Trace
@@ -165,13 +165,11 @@ def test_no_true_place_at_all_is_recall_0() -> None:
     assert row["recall_at_100_precision"] == 0.0
 
 
-def test_lists_are_written_line_by_line(tmp_path) -> None:
+def test_lists_are_written_line_by_line() -> None:
     bank = routes(2)
     trace = trace_of(bank, "music")
-    path = write_lists(tmp_path / "lists" / "music.csv", bank, trace, 4)
-    with path.open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == COLUMNS
+    rows = list(csv.DictReader(io.StringIO(ranked_lists(bank, trace, 4).decode())))
+    assert tuple(rows[0]) == LIST_COLUMNS
     assert len(rows) == 4 * bank.queries
     for frame in range(bank.queries):
         own = rows[4 * frame : 4 * frame + 4]

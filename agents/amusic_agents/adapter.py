@@ -1,7 +1,5 @@
 """The native vector environment as Stable-Baselines3 wants it."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -16,8 +14,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
-MASKS = "action_masks"
-"""Method of the wrappers of :mod:`amusic_gym.envs.wrappers` that sb3-contrib asks for masks."""
+MASKS = "action_masks"  # the method of `envs.wrappers` that sb3-contrib asks for masks
 
 
 class SB3VecEnv(VecEnv):

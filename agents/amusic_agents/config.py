@@ -3,8 +3,6 @@
 Nothing here loads PyTorch, so that a command line can name the settings at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
@@ -39,14 +37,9 @@ USED_BY = {
 }
 """Settings within those of a training → the algorithms that have a use for them."""
 
-HIGHEST_SEED = 1_000_000_000
-"""Seeds beyond would draw the held-out routes for training."""
-
-MOST_ROUTES = 65_536
-"""Routes side by side; more would take memory by the hundred gigabytes."""
-
-WIDEST = 4096
-"""Largest size of a layer: a damaged file must not fill the memory."""
+HIGHEST_SEED = 1_000_000_000  # seeds beyond would draw the held-out routes for training
+MOST_ROUTES = 65_536  # routes side by side; more would take memory by the hundred gigabytes
+WIDEST = 4096  # largest size of a layer: a damaged file must not fill the memory
 
 
 def count(default: int, least: int = 1, most: int | None = None) -> int:
@@ -79,14 +72,9 @@ def checked(default: Any, check: Callable[[str, Any], object]) -> Any:
 
 @dataclass(frozen=True)
 class Settings:
-    """Base of all settings.
-
-    Raises:
-        ValueError: for a value that its field's check refuses.
-    """
+    """Base of all settings; raises a ValueError for a value that its field's check refuses."""
 
     def __post_init__(self) -> None:
-        """Check every field that has a check."""
         for each in fields(self):
             if "check" in each.metadata:
                 each.metadata["check"](each.name, getattr(self, each.name))
@@ -236,7 +224,6 @@ class TrainingConfig(Settings):
     rollouts: RolloutConfig = field(default_factory=RolloutConfig)
 
     def __post_init__(self) -> None:
-        """Refuse what no training can use."""
         super().__post_init__()
         for name, known in (("algorithm", ALGORITHMS), ("reward", REWARDS)):
             if getattr(self, name) not in known:
@@ -264,11 +251,7 @@ class TrainingConfig(Settings):
         return {name: bool(getattr(settings, name)) for name in ("carry", "discount")} | idle
 
     def population(self) -> Simulation:
-        """The ranges that training routes are drawn from.
-
-        Raises:
-            ValueError: for an unknown range, or a value out of its limits.
-        """
+        """The ranges that training routes are drawn from; refuses an unknown one, or its value."""
         names = [range_.name for range_ in fields(Simulation)]
         for name in self.simulation:
             if name not in names:
@@ -289,20 +272,12 @@ class TrainingConfig(Settings):
 
 
 def training_config(algorithm: str, **given: Any) -> TrainingConfig:
-    """The configuration of an algorithm: its defaults, and what is given.
-
-    Raises:
-        ValueError: for an unknown algorithm or a number out of range.
-    """
+    """The configuration of an algorithm: its defaults, and what is given, if that fits."""
     return TrainingConfig(**{"algorithm": algorithm, **DEFAULTS.get(algorithm, {}), **given})
 
 
 def with_values(settings: Any, values: Mapping[str, Any]) -> Any:
     """Settings with other values, as JSON has them: lists for ranges, objects for settings within.
-
-    Args:
-        settings: the settings, which stay as they are.
-        values: name → value; what is not named is as in ``settings``.
 
     Raises:
         ValueError: for an unknown name or a value that is refused.
@@ -340,11 +315,7 @@ def leaves(settings: Settings, prefix: str = "") -> dict[str, Any]:
 
 
 def with_leaves(settings: Any, values: Mapping[str, Any]) -> Any:
-    """Settings with other values, named as `leaves` names them.
-
-    Raises:
-        ValueError: as `with_values`.
-    """
+    """Settings with other values, named as `leaves` names them; raises as `with_values`."""
     return with_values(settings, nested(values))
 
 

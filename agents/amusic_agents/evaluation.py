@@ -1,7 +1,5 @@
 """Judging a selector on routes that no training sees."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -39,12 +37,7 @@ def measure(selector: Selector, jobs: Sequence[Job], **options: Any) -> NDArray[
 
 
 def held_out_source(simulation: Simulation, routes: int) -> SimulatedRoutes:
-    """Simulated routes of seeds that training never draws.
-
-    Args:
-        simulation: ranges that they are drawn from.
-        routes: how many.
-    """
+    """So many simulated routes, of seeds that training never draws."""
     return SimulatedRoutes(simulation, pool=routes, seed=HELD_OUT_SEED, keep=routes)
 
 
@@ -90,12 +83,7 @@ def mean_reward(
 
 
 class HeldOut:
-    """Simulated routes of seeds that training never draws.
-
-    Args:
-        routes: how many.
-        statistic: SIC's statistic.
-    """
+    """Simulated routes of seeds that training never draws."""
 
     def __init__(self, routes: int, statistic: str) -> None:
         banks = held_out_routes(population(statistic), routes)

@@ -5,8 +5,6 @@ online learning", AISTATS 2011. Here a route is driven by one of the two from it
 end, because SIC profits from techniques that run many frames in a row.
 """
 
-from __future__ import annotations
-
 import json
 from typing import NamedTuple
 
@@ -40,12 +38,6 @@ class Round(NamedTuple):
 
 class ImitationLearner:
     """The rounds of an imitation.
-
-    Args:
-        config: how.
-        source: routes to drive on.
-        records: of the run folder.
-        teacher: says what to do.
 
     Raises:
         ValueError: if there is no teacher, or it needs another environment.
@@ -105,11 +97,7 @@ class ImitationLearner:
         bar.set_postfix(agreement=f"{agreed:.3f}", score=f"{result.score:.3f}")
 
     def _drive(self, rng: np.random.Generator, share: float, rows: slice, bar: tqdm) -> float:
-        """Drive on all routes, from their beginnings; the teacher labels every frame.
-
-        Returns:
-            The share of the bits that the student would have set as the teacher said.
-        """
+        """Let the teacher label a drive on all routes; share of the student's bits that agree."""
         routes, agreed = self.config.n_envs, []
         observations = self.observations[rows].numpy().reshape(self.steps, routes, -1)
         labels = self.labels[rows].numpy().reshape(self.steps, routes, -1)

@@ -1,7 +1,5 @@
 """What several algorithms share: the environment to learn in, and fitting a network."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -20,14 +18,7 @@ def make_env(
     env_type: type[TechniqueSelectionVectorEnv] = TechniqueSelectionVectorEnv,
     **arguments: Any,
 ) -> TechniqueSelectionVectorEnv:
-    """The environment to learn in, and one thread for PyTorch.
-
-    Args:
-        config: how many routes, how SIC works, which λ.
-        source: the routes.
-        env_type: the environment's class.
-        arguments: other ones of the environment.
-    """
+    """The environment to learn in, with other ``arguments``, and one thread for PyTorch."""
     torch.set_num_threads(1)  # small batches: more threads only wait for each other
     return env_type(
         config.n_envs,
@@ -51,19 +42,10 @@ def fit(
     rng: np.random.Generator,
     weight_decay: float = 0.0,
 ) -> float:
-    """Fit a network by Adam, its learning rate falling linearly to zero.
+    """Fit a network by Adam, its learning rate falling linearly to zero; the last pass's loss.
 
-    Args:
-        network: the network.
-        loss_of: loss of a batch, from the numbers (B,) of its examples.
-        examples: how many there are.
-        batches: into how many they are cut in each pass.
-        settings: passes and learning rate.
-        rng: of the order of the examples.
-        weight_decay: of Adam.
-
-    Returns:
-        The mean loss of the last pass.
+    ``loss_of`` gives the loss of a batch, from the numbers (B,) of its examples; these are cut into
+    ``batches`` in each pass, in an order that ``rng`` draws.
     """
     steps = settings.epochs * batches
     optimiser = torch.optim.Adam(network.parameters(), weight_decay=weight_decay)

@@ -4,8 +4,6 @@ Each technique's group of the observation, joined with the route's group, goes t
 the encodings are pooled over the techniques that are present.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -16,18 +14,19 @@ from numpy.typing import NDArray
 from torch import nn
 
 from amusic_agents.config import NetworkConfig, SetSizes
-from amusic_gym.envs.observation import ROUTE_FEATURES, TECHNIQUE_FEATURES
+from amusic_gym.envs.observation import (
+    ROUTE_FEATURES,
+    TECHNIQUE_FEATURES,
+    limit_compute_weight,
+)
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.policies.protocol import Needs
 
-VERSION = 1
-"""Rises whenever stored weights of any network would mean something else."""
-
+VERSION = 1  # rises whenever stored weights of any network would mean something else
 WIDTH = len(TECHNIQUE_FEATURES)
 ROUTE_WIDTH = len(ROUTE_FEATURES)
 PRESENT = TECHNIQUE_FEATURES.index("present")
-ABSENT = -20.0
-"""Logit of an empty slot."""
+ABSENT = -20.0  # logit of an empty slot
 
 
 def presence(observation: torch.Tensor) -> torch.Tensor:
@@ -36,11 +35,7 @@ def presence(observation: torch.Tensor) -> torch.Tensor:
 
 
 class SetEncoder(nn.Sequential):
-    """Encodes every technique by the same layers, and all together by mean and maximum.
-
-    Args:
-        sizes: of the layers.
-    """
+    """Encodes every technique by the same layers, and all together by mean and maximum."""
 
     def __init__(self, sizes: SetSizes) -> None:
         super().__init__(
@@ -66,9 +61,6 @@ class SelectorNetwork(nn.Module):
 
     One head gives each technique's logit from its own encoding and the pool, another the features.
     Permuting the techniques permutes the logits.
-
-    Args:
-        sizes: of the layers, and the first logit.
     """
 
     def __init__(self, sizes: NetworkConfig) -> None:
@@ -119,9 +111,8 @@ class NetworkSelector(ABC):
     """A policy that acts as a trained network says.
 
     Attributes:
-        kind: the kind's name in the file of the weights.
-        sizes_type: dataclass of the network's sizes; refuses those that no network has.
-        network_type: makes a network of such sizes.
+        compute_weights: range of λ that it was trained for; at any other λ it acts as at the
+            nearest end. None: no such range.
 
     Args:
         network: the network.
@@ -131,9 +122,11 @@ class NetworkSelector(ABC):
         reselection: M of the environment's re-select bit; None: it has none.
     """
 
-    kind: ClassVar[str]
+    kind: ClassVar[str]  # the kind's name in the file of the weights
+    # dataclass of the network's sizes; refuses those that no network has
     sizes_type: ClassVar[type[Any]]
-    network_type: ClassVar[type[Any]]
+    network_type: ClassVar[type[Any]]  # makes a network of such sizes
+    compute_weights: tuple[float, float] | None = None
 
     def __init__(
         self,
@@ -163,3 +156,9 @@ class NetworkSelector(ABC):
     @abstractmethod
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
         """Actions (N, A) from observations (N, D)."""
+
+    def seen(self, observation: NDArray[np.float32]) -> torch.Tensor:
+        """Observations (N, D) as the network takes them, λ within what it was trained for."""
+        if self.compute_weights is not None:
+            observation = limit_compute_weight(observation, *self.compute_weights)
+        return torch.from_numpy(observation)

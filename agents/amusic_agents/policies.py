@@ -1,7 +1,5 @@
 """Trained selectors as registered policies, ``ppo`` and its kin; PyTorch loads with the first."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from amusic_agents.shipped import PRETRAINED, SHIPPED, shipped
@@ -21,25 +19,11 @@ def run_of(argument: str | None) -> Path:
 
 
 def run_of_statistic(argument: str | None) -> Path:
-    """Run folder of ``ppo@STATISTIC`` or ``ppo@STATISTIC:idle``, that ship.
-
-    Raises:
-        ValueError: for a run of one's own, or a statistic that none ships for.
-    """
+    """Run folder of ``ppo@STATISTIC`` or ``ppo@STATISTIC:idle``; refuses what does not ship."""
     statistic, _, rest = (argument or "").partition(":")
     if rest not in ("", IDLE):
         raise ValueError(f"ppo@{argument}: a run brings its own statistic; name it ppo:{rest}")
     return shipped(statistic, allow_idle=rest == IDLE)
-
-
-def ppo(argument: str | None, context: Context) -> Policy:
-    """The selector of `run_of`."""
-    return _load(run_of(argument), context)
-
-
-def ppo_of_statistic(argument: str | None, context: Context) -> Policy:
-    """The selector of `run_of_statistic`."""
-    return _load(run_of_statistic(argument), context)
 
 
 def _load(run: Path, context: Context) -> Policy:
@@ -76,7 +60,7 @@ def _facts(run: Path) -> Facts:
 POLICIES = {
     "ppo": RegisteredPolicy(
         "ppo",
-        ppo,
+        lambda argument, context: _load(run_of(argument), context),
         LEARNED,
         "selector (ppo)",
         label_of=lambda argument: f"selector (ppo:{Path(argument).name})",
@@ -85,7 +69,7 @@ POLICIES = {
     ),
     "ppo@": RegisteredPolicy(
         "ppo@",
-        ppo_of_statistic,
+        lambda argument, context: _load(run_of_statistic(argument), context),
         LEARNED,
         label_of="selector (ppo@{})".format,
         reads_weight=lambda argument: True,

@@ -11,8 +11,6 @@ A policy gradient does not find this by itself: a good technique that runs alone
 beside those that mislead does not, so that every small step towards it costs more than it gives.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import signal
 from collections.abc import Iterator, Sequence
@@ -37,14 +35,9 @@ from amusic_gym.envs.sources import RouteSource
 from amusic_gym.envs.task import Task
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 
-SPELL = (3, 50)
-"""Frames for which a route of a collection is driven in one way: by the policy, or by a subset."""
-
-PART = 1000
-"""States that are collected in one go, from the beginning of every route on."""
-
-ACTION_REPEAT = 2
-"""Frames between two decisions of the policy in a rollout; half of the time goes into them."""
+SPELL = (3, 50)  # frames of a collection driven in one way: by the policy, or by a subset
+PART = 1000  # states that are collected in one go, from the beginning of every route on
+ACTION_REPEAT = 2  # frames between two decisions in a rollout; half of the time goes into them
 
 
 class Samples(NamedTuple):
@@ -63,13 +56,7 @@ def joined(parts: Sequence[Samples]) -> Samples:
 
 
 class RolloutLearner:
-    """The iterations of collecting and learning.
-
-    Args:
-        config: how; ``config.rollouts`` above all.
-        source: routes to drive on.
-        records: of the run folder.
-    """
+    """The iterations of collecting and learning."""
 
     kind = SubsetSelector
 
@@ -153,21 +140,11 @@ class RolloutLearner:
             raise ValueError("states of another size or kind")
 
 
-# ---- collecting ----------------------------------------------------------------------------
-
-
 class BehaviourPolicy:
     """Drives the routes of a collection: each spell by the policy so far, or by one subset.
 
-    Subsets lead to states that the policy would not come to, and must recover from.
-
-    Args:
-        routes: N.
-        slots: S.
-        policy: the policy so far; None: subsets only.
-        share: of the spells that the policy drives.
-        rng: of all that is drawn.
-        idle: whether a subset may be empty.
+    Subsets lead to states that the policy would not come to, and must recover from. ``share`` of
+    the spells are the policy's, where there is one; a subset may be empty if ``idle``.
     """
 
     def __init__(
@@ -255,8 +232,7 @@ def collecting(config: TrainingConfig, source: RouteSource) -> Iterator[Any]:
         pool.shutdown(cancel_futures=True)
 
 
-_worker: dict[str, Any] = {}
-"""What a collecting process keeps: the configuration and the environment."""
+_worker: dict[str, Any] = {}  # of a collecting process: its configuration and environment
 
 
 def _begin(config: TrainingConfig, source: RouteSource) -> None:
@@ -284,13 +260,9 @@ def collect(
     settings: RolloutConfig,
     rng: np.random.Generator,
 ) -> Samples:
-    """Drive, and try subsets by rollouts on every so many frames.
+    """Drive, and try subsets by rollouts on every so many frames; ``env`` has SAME_STEP autoreset.
 
-    Args:
-        env: the routes; with SAME_STEP autoreset.
-        policy: the policy so far; None at first: then a subset runs to the end of its rollout.
-        settings: how many subsets and frames.
-        rng: of all that is drawn.
+    ``policy`` is the policy so far; None at first: then a subset runs to the end of its rollout.
     """
     slots = env.task.slots
     observation, info = env.reset(seed=int(rng.integers(2**31)))
@@ -323,13 +295,9 @@ def roll_out(
     policy: SubsetSelector | None,
     settings: RolloutConfig,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """What each subset leads to, from where the routes are.
+    """What each subset (N, B, S) leads to, from where the N routes of ``task`` are and stay.
 
-    Args:
-        task: N routes; they stay as they are.
-        subsets: (N, B, S) to run at first.
-        policy: goes on after ``settings.hold`` frames; None: the subset does.
-        settings: frames and discount.
+    After ``settings.hold`` frames the policy goes on; None: the subset does.
 
     Returns:
         (N, B) discounted means per frame of the horizon of the reward without compute, and of the
@@ -357,9 +325,6 @@ def roll_out(
     means = (sums / weights.cumsum()[-1]).astype(np.float32)
     correctness, compute = means.reshape(2, routes, count)
     return correctness, compute
-
-
-# ---- learning ------------------------------------------------------------------------------
 
 
 def learn(

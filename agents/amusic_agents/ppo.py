@@ -1,7 +1,5 @@
 """Training by Stable-Baselines3's PPO: a bit per technique, or when to select again."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
@@ -35,11 +33,7 @@ from amusic_gym.estimation.settings import BLOCK
 class NetworkPolicy(ActorCriticPolicy):
     """Actor-critic policy around a network that gives the logits itself.
 
-    Args:
-        arguments: of the base class.
-        make_network: makes the network; it gives logits and the critic's features, of length
-            ``latent_dim_vf``.
-        keywords: of the base class.
+    ``make_network`` makes it; it gives logits and the critic's features, ``latent_dim_vf`` long.
     """
 
     def __init__(
@@ -61,13 +55,8 @@ class NetworkPolicy(ActorCriticPolicy):
 class PPOLearner(BaseCallback):
     """PPO with a bit per technique; evaluates, writes checkpoints, logs the reward's terms.
 
-    Args:
-        config: how.
-        source: routes to drive on.
-        records: of the run folder.
-        start: run folder of an imitation whose weights PPO begins from; they are evaluated first,
-            and so stay the best until others are better.
-        callbacks: further ones, called after this one.
+    With ``start``, the run folder of an imitation, PPO begins from its weights; they are evaluated
+    first, and so stay the best until others are better. ``callbacks`` are called after this one.
     """
 
     kind: type[NetworkSelector] = TrainedSelector
@@ -122,14 +111,8 @@ class PPOLearner(BaseCallback):
         """The network that is being trained."""
         return self.model.policy.mlp_extractor  # type: ignore[return-value]
 
-    # ---- the training ----------------------------------------------------------------------
-
     def run(self, progress: bool) -> None:
-        """Train until all frames are driven and the last weights evaluated.
-
-        Raises:
-            KeyboardInterrupt: after saving a checkpoint.
-        """
+        """Train to the last evaluation; a KeyboardInterrupt comes after a checkpoint."""
         done, wanted = self.model.num_timesteps, self.config.timesteps
         if wanted <= done and self._is_evaluated():
             return
@@ -197,8 +180,6 @@ class PPOLearner(BaseCallback):
         self._next = steps + self.config.evaluate_every
         self.checkpoint()
 
-    # ---- checkpoints -----------------------------------------------------------------------
-
     def checkpoint(self) -> None:
         """Write everything that resuming needs."""
         model = self.model
@@ -263,9 +244,6 @@ def _logger(out: Path, timesteps: int) -> Logger:
     return Logger(str(out), [make_output_format(kind, str(out), suffix) for kind in kinds])
 
 
-# ---- when to select again ------------------------------------------------------------------
-
-
 class ReselectLearner(PPOLearner):
     """PPO with one decision: whether to select again."""
 
@@ -283,11 +261,7 @@ class ReselectLearner(PPOLearner):
 
 
 class ReselectVectorEnv(TechniqueSelectionVectorEnv):
-    """The environment to learn in, with one bit, `Discrete(2)`: whether to select again.
-
-    Args:
-        arguments: the environment's; ``reselection`` among them.
-    """
+    """The environment to learn in, with one bit, `Discrete(2)`: whether to select again."""
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)

@@ -1,7 +1,5 @@
 """What a training leaves in its run folder: evaluations, the best selector, checkpoints."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -39,13 +37,7 @@ class Records:
 
     The checkpoint holds the evaluations and the best selector too, and is written first: when a
     training that was killed between two files is resumed, all of them are again of one moment.
-
-    Args:
-        out: the run folder.
-        config: the training's configuration.
-        banks: folders of the banks, for ``config.json``.
-        kind: of the selector that is trained.
-        evaluated: called with every evaluation once it is kept, those before a resume first.
+    ``evaluated`` is called with every evaluation once it is kept, those before a resume first.
     """
 
     def __init__(
@@ -112,8 +104,7 @@ class Records:
     def restoring(self, network: nn.Module) -> Iterator[tuple[Tensors, dict[str, str]]]:
         """The tensors and metadata of the checkpoint, after what is kept here was taken from it.
 
-        Args:
-            network: of the kind that is trained; it stays as it is.
+        ``network`` is of the kind that is trained; it stays as it is.
 
         Raises:
             FileNotFoundError: if there is no checkpoint.

@@ -5,8 +5,6 @@ decision, at every frame, takes the place of its t-test. As in the paper, all te
 first M frames, then comes a selection; the selected techniques run until the next.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,11 +19,8 @@ from amusic_agents.config import WIDEST, SetSizes, count
 from amusic_agents.network import NetworkSelector, SetEncoder
 from amusic_gym.estimation.settings import BLOCK
 
-FIRST_LOGIT = -3.5
-"""Logit of selecting again before any training: once in 34 frames, for a selection is dear."""
-
-GOLDEN_RATIO = (math.sqrt(5.0) - 1.0) / 2.0
-"""Multiples of it, without their whole part, fill [0, 1) evenly, however many are taken."""
+FIRST_LOGIT = -3.5  # of selecting again, untrained: once in 34 frames, for a selection is dear
+GOLDEN_RATIO = (math.sqrt(5.0) - 1.0) / 2.0  # the fractions of its multiples fill [0, 1) evenly
 
 
 @dataclass(frozen=True)
@@ -64,11 +59,7 @@ class HeldSelection:
 
 
 class ReselectNetwork(nn.Module):
-    """Logits (B, 2) of going on and of selecting again, from observations (B, D).
-
-    Args:
-        sizes: of the layers.
-    """
+    """Logits (B, 2) of going on and of selecting again, from observations (B, D)."""
 
     def __init__(self, sizes: ReselectSizes) -> None:
         super().__init__()
@@ -123,5 +114,5 @@ class ReselectSelector(NetworkSelector):
         """The selected techniques and the re-select bit, (N, S + 1)."""
         self._held.note(info)
         with torch.inference_mode():
-            chance = torch.sigmoid(self.network.logits(torch.from_numpy(observation))).numpy()
+            chance = torch.sigmoid(self.network.logits(self.seen(observation))).numpy()
         return self._held.actions(chance > (info["frame"] + 1) * GOLDEN_RATIO % 1.0)

@@ -13,8 +13,6 @@ Layout of a run folder::
 No file of another program is loaded, above all no zip of Stable-Baselines3: those hold pickles.
 """
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -42,11 +40,8 @@ CONFIG = "config.json"
 SELECTOR = "selector.safetensors"
 CHECKPOINT = "checkpoint.safetensors"
 EVALUATIONS = "evaluation.csv"
-BEST = "best."
-"""Prefix of the selector's weights in a checkpoint."""
-
-FIRST_KIND = "selector"
-"""Of a selector whose weights name no kind."""
+BEST = "best."  # prefix of the selector's weights in a checkpoint
+FIRST_KIND = "selector"  # of a selector whose weights name no kind
 
 ENVIRONMENT = ("candidates", "history", "gamma", "carry", "discount", "allow_idle")
 """Arguments of the environment that a run may set besides the statistic."""
@@ -109,11 +104,8 @@ def stored(
 ) -> dict[str, Any]:
     """What ``config.json`` holds.
 
-    Args:
-        config: the configuration.
-        banks: folders of the banks that it trains on, None for one in memory; empty: simulated
-            routes.
-        best: evaluation of the stored selector.
+    ``banks`` are folders of the banks that it trains on, None for one in memory; none: simulated
+    routes. ``best`` is the evaluation of the stored selector.
     """
     return {
         "versions": versions(config.statistic),
@@ -136,8 +128,7 @@ def stored_config(run: Path) -> TrainingConfig:
     try:
         values = dict(config["training"])
         values.pop("warm_start", None)  # of an earlier version
-        given: TrainingConfig = with_values(TrainingConfig(), values)
-        return given
+        return with_values(TrainingConfig(), values)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(
             f"{run / CONFIG} is damaged ({error}); train the selector again"
@@ -145,11 +136,7 @@ def stored_config(run: Path) -> TrainingConfig:
 
 
 def stored_banks(run: Path) -> list[str]:
-    """Folders of the banks that a run trains on; empty: simulated routes.
-
-    Raises:
-        ValueError: if it was trained on routes that no folder holds.
-    """
+    """Folders of the banks that a run trains on, none for simulated routes; refuses others."""
     banks = read_config(run).get("banks", [])
     if not isinstance(banks, list) or not all(isinstance(bank, str) for bank in banks):
         raise ValueError(f"{run} was trained on routes in memory; give them again to resume")
@@ -195,8 +182,7 @@ def read_list(path: Path, metadata: Mapping[str, str], name: str) -> list[Any]:
         KeyError: where there is none.
         ValueError: where it is no list of plain finite values.
     """
-    found: list[Any] = parse_json(metadata[name].encode(), path, "train again", list)
-    return found
+    return parse_json(metadata[name].encode(), path, "train again", list)
 
 
 def part(tensors: Tensors, prefix: str) -> Tensors:
@@ -205,25 +191,14 @@ def part(tensors: Tensors, prefix: str) -> Tensors:
 
 
 def write_selector(run: Path, network: nn.Module, sizes: Any, kind: str = FIRST_KIND) -> None:
-    """Store a network as the run's selector.
-
-    Args:
-        run: the run folder.
-        network: the network.
-        sizes: dataclass of its sizes.
-        kind: what it is, a name out of `amusic_agents.selector.KINDS`.
-    """
+    """Store a network as the run's selector; ``kind`` is one of `amusic_agents.selector.KINDS`."""
     about = asdict(sizes) if kind == FIRST_KIND else {"kind": kind, **asdict(sizes)}
     # One entry: safetensors writes several in any order, and the same weights are the same bytes.
     write_tensors(run / SELECTOR, dict(network.state_dict()), {"network": json.dumps(about)})
 
 
 def check_layers(path: Path, tensors: Tensors, expected: Mapping[str, torch.Tensor]) -> None:
-    """Refuse weights that are not those of a network.
-
-    Raises:
-        ValueError: naming the first layer of another name, shape or type, or with NaN.
-    """
+    """Refuse weights that are not a network's, naming the first other layer, or one with NaN."""
     for name in sorted(expected.keys() | tensors.keys()):
         have, want = tensors.get(name), expected.get(name)
         if have is None or want is None or (have.shape, have.dtype) != (want.shape, want.dtype):

@@ -1,7 +1,5 @@
 """A trained selector as a policy: drives any bank, of any number of techniques."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from amusic_agents.config import NetworkConfig
+from amusic_agents.config import NetworkConfig, TrainingConfig
 from amusic_agents.network import NetworkSelector, SelectorNetwork
 from amusic_agents.reselect import ReselectSelector
 from amusic_agents.run_folder import SELECTOR, check_layers, read_config, read_tensors
@@ -31,7 +29,7 @@ class TrainedSelector(NetworkSelector):
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> NDArray[np.bool_]:
         """The more likely value of every bit."""
         with torch.inference_mode():
-            logits: torch.Tensor = self.network.logits(torch.from_numpy(observation))
+            logits: torch.Tensor = self.network.logits(self.seen(observation))
         return logits.numpy() > 0.0
 
 
@@ -79,7 +77,26 @@ def load_selector(
         raise ValueError(f"{path} holds no selector ({error}); train again") from error
     check_layers(path, tensors, network.state_dict())
     network.load_state_dict(tensors)
-    return kind(network.eval(), own, config["environment"])
+    selector = kind(network.eval(), own, config["environment"])
+    selector.compute_weights = trained_weights(run, config)
+    return selector
+
+
+def trained_weights(run: Path, config: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Range of λ of a run's training; None where it does not say.
+
+    Raises:
+        ValueError: for a range that no training has.
+    """
+    training = config.get("training")
+    given = training.get("compute_weights") if isinstance(training, dict) else None
+    if given is None:
+        return None
+    try:
+        low, high = TrainingConfig(compute_weights=tuple(given)).compute_weights
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{run} is damaged ({error}); train the selector again") from error
+    return low, high
 
 
 def learned_from_truth(run: str | Path) -> bool:

@@ -1,27 +1,16 @@
 """The selectors that ship: which there are, without loading PyTorch."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from amusic_gym.estimation.settings import STATISTICS, SICSettings
 
 PRETRAINED = Path(__file__).parent / "pretrained"
-
-SHIPPED = ("evidence", "belief")
-"""Statistics that a selector ships for, each a run folder in `PRETRAINED`."""
-
-
-IDLING = ("evidence",)
-"""Statistics that one ships for, besides, which may run nothing on a frame."""
+SHIPPED = ("evidence", "belief")  # statistics that a selector ships for: folders of `PRETRAINED`
+IDLING = ("evidence",)  # statistics that one ships for, besides, which may run nothing on a frame
 
 
 def shipped(statistic: str = SICSettings.statistic, *, allow_idle: bool = False) -> Path:
-    """Run folder of the selector that ships for a statistic.
-
-    Args:
-        statistic: the statistic.
-        allow_idle: the one that may run nothing on a frame.
+    """Run folder of the selector that ships for a statistic, or of the one that may idle.
 
     Raises:
         ValueError: for a statistic that none ships for.

@@ -4,8 +4,6 @@ The rating of a subset depends on the sum of its techniques' encodings, so that 
 on their order, and the same weights serve any number of techniques.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,9 +20,7 @@ from amusic_gym.envs.observation import ROUTE_FEATURES
 from amusic_gym.estimation.settings import COMPUTE_WEIGHT_RANGE
 
 WEIGHT = ROUTE_FEATURES.index("compute_weight")
-
-MOST_SLOTS = 10
-"""Techniques of which all subsets are rated, 1024; every technique more doubles them."""
+MOST_SLOTS = 10  # techniques of which all subsets are rated, 1024; each technique more doubles them
 
 
 @lru_cache
@@ -58,21 +54,13 @@ def valid(present: torch.Tensor, idle: bool = False) -> torch.Tensor:
 
 @dataclass(frozen=True)
 class SubsetSizes(SetSizes):
-    """Sizes of the network.
+    """Sizes of the network."""
 
-    Attributes:
-        ensemble: networks whose values are averaged.
-    """
-
-    ensemble: int = count(4, most=WIDEST)
+    ensemble: int = count(4, most=WIDEST)  # networks whose values are averaged
 
 
 class SubsetValues(nn.Module):
-    """Expected correctness and compute (B, A, 2) of subsets from observations (B, D).
-
-    Args:
-        sizes: of the layers.
-    """
+    """Expected correctness and compute (B, A, 2) of subsets from observations (B, D)."""
 
     def __init__(self, sizes: SetSizes) -> None:
         super().__init__()
@@ -94,9 +82,6 @@ class SubsetNetwork(nn.Module):
     """Ratings (B, A) of subsets from observations (B, D), by an ensemble.
 
     A rating is the correctness that is to be expected, less λ times the compute.
-
-    Args:
-        sizes: of the layers, and the ensemble's.
     """
 
     def __init__(self, sizes: SubsetSizes) -> None:
@@ -140,7 +125,7 @@ class SubsetSelector(NetworkSelector):
 
     def _rated(self, observation: NDArray[np.float32]) -> tuple[torch.Tensor, torch.Tensor]:
         """Subsets (A, S) and their ratings (N, A), −∞ for those that cannot run."""
-        seen = torch.from_numpy(observation)
+        seen = self.seen(observation)
         present = presence(seen)
         with torch.inference_mode():
             allowed = valid(present, self.needs.allow_idle)

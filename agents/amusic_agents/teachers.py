@@ -1,7 +1,5 @@
 """Teachers of an imitation: one for every λ."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

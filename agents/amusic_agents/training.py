@@ -31,11 +31,8 @@ from amusic_gym.utils.storage import only_writer
 if TYPE_CHECKING:
     from stable_baselines3.common.callbacks import BaseCallback
 
-TRAINING_SEED = 1_000_000
-"""First seed of the training routes; held-out routes have another."""
-
-IMITATION = "imitation"
-"""Folder of the imitation within a run that goes on with PPO."""
+TRAINING_SEED = 1_000_000  # first seed of the training routes; held-out routes have another
+IMITATION = "imitation"  # folder of the imitation within a run that goes on with PPO
 
 
 def train(
@@ -124,11 +121,7 @@ def train(
 
 
 def refuse_used(out: Path) -> None:
-    """Refuse a folder that holds a training already, or that is in the folder of a bank.
-
-    Raises:
-        ValueError: naming the file, or the bank.
-    """
+    """Refuse a folder that holds a training already, or that is in the folder of a bank."""
     refuse_within_bank(out)
     if out.exists() and not out.is_dir():
         raise ValueError(f"{out} is a file; give a folder")

@@ -1,7 +1,5 @@
 """The trainings of a search: pieces of work for executors, one per trial and seed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,19 +14,14 @@ from amusic_gym.utils.optional import optional
 Learn = Callable[[Path, TrainingConfig, bool, Callable[[Evaluation], None]], object]
 """Trains in a run folder, from its last checkpoint if True, and tells of every evaluation."""
 
-Scores = tuple[float, ...]
-"""Held-out scores of a training or trial, by evaluation."""
+Scores = tuple[float, ...]  # held-out scores of a training or trial, by evaluation
 
 
 @dataclass(frozen=True)
 class Learner:
-    """What workers hold to run trainings.
+    """What workers hold to run trainings."""
 
-    Attributes:
-        learn: what trains; for other executors than ``serial`` it must pickle.
-    """
-
-    learn: Learn
+    learn: Learn  # what trains; for other executors than ``serial`` it must pickle
     name = "tune"  # as executors call it
 
 
@@ -44,18 +37,12 @@ class Training:
     """One training of a trial: the same scores in any process, in any order.
 
     A worker that dies leaves a checkpoint in the run folder, from which the next one goes on.
-
-    Attributes:
-        trial: number of the trial.
-        folder: the run folder; workers on other machines must find it, too.
-        config: settings.
-        completed: scores of the trials by which this one may be pruned; empty: by none.
     """
 
-    trial: int
-    folder: Path
+    trial: int  # its number
+    folder: Path  # the run folder; workers on other machines must find it, too
     config: TrainingConfig
-    completed: Sequence[Scores] = ()
+    completed: Sequence[Scores] = ()  # scores of trials that may prune this one; empty: none do
 
     @property
     def size(self) -> int:
@@ -97,11 +84,7 @@ def _trial_after(completed: Sequence[Scores]) -> Any:
 
 
 def load_optuna() -> Any:
-    """Optuna, which says nothing of its own.
-
-    Raises:
-        ValueError: if it is not installed.
-    """
+    """Optuna, which says nothing of its own; raises a ValueError if it is not installed."""
     optuna = optional("optuna", "tuning", "Optuna", "tune")
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     return optuna

@@ -36,13 +36,7 @@ JUDGING = ("seed", "timesteps", "threads", "evaluate_every", "held_out")
 
 @dataclass(frozen=True)
 class Range:
-    """Numbers to search in.
-
-    Attributes:
-        low: the lowest.
-        high: the highest.
-        log: whether on a logarithmic scale.
-    """
+    """Numbers to search in, on a logarithmic scale if ``log``."""
 
     low: float
     high: float
@@ -84,9 +78,7 @@ SPACES: dict[str, Space] = {
 class Study:
     """A study in its folder, new or as it was left.
 
-    Args:
-        out: the study folder.
-        about: settings, space, banks and seeds of a new study, as JSON has them; None: as stored.
+    ``about`` are settings, space, banks and seeds of a new one, as JSON has them; None: as stored.
 
     Raises:
         ValueError: if Optuna is missing, the folder holds another study or none, or is damaged.
@@ -130,10 +122,14 @@ class Study:
         return [trial for trial in self.study.trials if trial.state.name in ("COMPLETE", "PRUNED")]
 
     @property
+    def completed(self) -> list[optuna.trial.FrozenTrial]:
+        """Trials that were trained to their end."""
+        return [trial for trial in self.study.trials if trial.state.name == "COMPLETE"]
+
+    @property
     def best(self) -> optuna.trial.FrozenTrial | None:
         """The trial of the highest score, of those trained to their end."""
-        done = [trial for trial in self.finished if trial.state.name == "COMPLETE"]
-        return max(done, key=lambda trial: trial.value or 0.0, default=None)
+        return max(self.completed, key=lambda trial: trial.value or 0.0, default=None)
 
     def requeue(self) -> None:
         """Put trials that a stop interrupted before the next ones; they go on in their folders."""
@@ -147,8 +143,7 @@ class Study:
         """The configuration of a trial."""
         defaults = leaves(self.base)
         values = {name: _draw(trial, name, of, defaults[name]) for name, of in self.space.items()}
-        found: TrainingConfig = with_leaves(self.base, values)
-        return found
+        return with_leaves(self.base, values)
 
     def run_round(self, count: int, workers: Workers) -> list[optuna.trial.FrozenTrial]:
         """Draw settings of ``count`` trials, train with them, and keep what they reached."""
@@ -171,17 +166,13 @@ class Study:
             trial.set_user_attr("run", f"{trial.number:04d}")
         run = self.out / TRIALS / trial.user_attrs["run"]
         if self.seeds == 1:
-            return [Training(trial.number, run, config, self._completed())]
+            scores = tuple(tuple(each.intermediate_values.values()) for each in self.completed)
+            return [Training(trial.number, run, config, scores)]
         seeds = range(config.seed, config.seed + self.seeds)
         return [
             Training(trial.number, run / f"seed-{seed}", replace(config, seed=seed))
             for seed in seeds
         ]
-
-    def _completed(self) -> tuple[tuple[float, ...], ...]:
-        """Scores of the trials that were trained to their end."""
-        done = [trial for trial in self.finished if trial.state.name == "COMPLETE"]
-        return tuple(tuple(trial.intermediate_values.values()) for trial in done)
 
     def _tell(self, trial: optuna.Trial, reached: Sequence[Reached]) -> optuna.trial.FrozenTrial:
         """Keep a trial's scores, means over its seeds, and the best settings so far."""
@@ -264,11 +255,7 @@ def tune(
 
 
 def check_space(space: Space, config: TrainingConfig) -> None:
-    """Refuse what cannot be searched, or no training would take.
-
-    Raises:
-        ValueError: for the first such setting.
-    """
+    """Refuse the first setting that cannot be searched, or that no training would take."""
     known = leaves(config)
     if not space:
         raise ValueError("there is nothing to search; give at least one setting")

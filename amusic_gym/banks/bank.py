@@ -23,9 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["GroundTruth", "ScoreBank"]
 
-
-_preparing = threading.Lock()
-"""Environments in several threads that share a bank share what is prepared of it, too."""
+_preparing = threading.Lock()  # threads that share a bank share what is prepared of it, too
 
 
 class ScoreBank:
@@ -108,8 +106,6 @@ class ScoreBank:
         self._given = (costs, seconds)  # the cost model that came with the scores
         self._prepared: dict[int, PreparedRows] = {}
 
-    # ---- shape and scores ----------------------------------------------------------------
-
     @property
     def shape(self) -> tuple[int, int, int]:
         """(T, Q, R): techniques, queries, references."""
@@ -150,15 +146,9 @@ class ScoreBank:
             return self._prepared[candidates]
 
     def check_finite(self) -> None:
-        """Read every score once.
-
-        Raises:
-            ValueError: at the first score that is NaN or +∞, naming technique and frame.
-        """
+        """Read every score once; refuses the first that is NaN or +∞, by technique and frame."""
         for technique, stored in zip(self.techniques, self.index, strict=True):
             check_rows(technique, self.stored[stored])
-
-    # ---- views ---------------------------------------------------------------------------
 
     def subset(self, names: Sequence[str]) -> ScoreBank:
         """The same bank with the techniques ``names`` only, in that order.
@@ -208,8 +198,6 @@ class ScoreBank:
         view = ScoreBank.__new__(ScoreBank)
         view.__dict__.update(self.__dict__)  # the rows prepared so far are shared too
         return view
-
-    # ---- disk and copies -----------------------------------------------------------------
 
     @property
     def folder(self) -> Path | None:

@@ -1,7 +1,5 @@
 """A score bank's folder: ``scores.npy``, ``ground_truth.npz`` and ``bank.json``."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -75,11 +73,7 @@ def write(
 
 
 def refuse_within_bank(path: Path) -> None:
-    """Refuse to write to a bank's folder, or below it, anything but the bank.
-
-    Raises:
-        ValueError: naming the bank.
-    """
+    """Refuse to write to a bank's folder, or below it, anything but the bank."""
     path = Path(os.path.realpath(path))
     for folder in (path, *path.parents):
         if (folder / MANIFEST).is_file() and (folder / SCORES).is_file():
@@ -150,11 +144,7 @@ def _read_once(
 def parse_manifest(
     content: bytes, path: Path, kind: str, most: int, rebuild: str
 ) -> dict[str, Any]:
-    """The manifest of a folder that holds a checksum of itself.
-
-    Raises:
-        ValueError: for a damaged one, or one of a newer version.
-    """
+    """The manifest of a folder, with a checksum of itself; refuses a damaged or a newer one."""
     manifest: dict[str, Any] = reading.parse_json(content, path, rebuild)
     version = manifest.get("format_version")
     if not isinstance(version, int) or version < 1:
@@ -182,11 +172,7 @@ def size_and_checksum(path: Path) -> dict[str, Any]:
 
 
 def write_floats(path: Path, arrays: Iterable[NDArray[np.float32]], shape: tuple[int, ...]) -> None:
-    """Write one .npy file of float32 from arrays that come one after the other.
-
-    Raises:
-        ValueError: when they do not fill the shape.
-    """
+    """Write a .npy file of float32 from arrays that follow each other and must fill the shape."""
     header = {
         "descr": np.lib.format.dtype_to_descr(np.dtype("<f4")),
         "fortran_order": False,

@@ -1,7 +1,5 @@
 """What a run of a technique costs: checked seconds, and the models to reckon with."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -40,11 +38,7 @@ def check_seconds(seconds: ArrayLike, techniques: Sequence[str]) -> NDArray[np.f
 
 
 def paper_seconds(techniques: Sequence[str]) -> NDArray[np.float64]:
-    """(T,) seconds of the paper's techniques.
-
-    Raises:
-        ValueError: for a technique that the paper does not time.
-    """
+    """(T,) seconds of the paper's techniques; refuses one that it does not time."""
     by_name = {name.casefold(): seconds for name, seconds in PAPER_SECONDS.items()}
     for name in techniques:
         if name.casefold() not in by_name:

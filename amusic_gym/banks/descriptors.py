@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,7 @@ from amusic_gym.utils.names import suggest
 from amusic_gym.utils.optional import optional
 
 H5_SUFFIXES = (".h5", ".hdf5")
-H5_KEY = "global_descriptor"
-"""The dataset that hloc keeps in an image's group."""
-
+H5_KEY = "global_descriptor"  # the dataset that hloc keeps in an image's group
 METRICS = ("dot", "l2", "cosine")
 
 _NUMBERS = 2**25  # of float32 in memory per array: rows of scores, or queries
@@ -49,11 +47,7 @@ class Descriptors:
         return replace(self, rows=np.asarray(chosen, np.int64))
 
     def block(self, first: int, count: int) -> Floats:
-        """Descriptors ``first`` to ``first + count`` of the traverse, (n, D).
-
-        Raises:
-            ValueError: for a descriptor with NaN or infinity, or of zeros only, by its row.
-        """
+        """(n, D) descriptors from ``first`` on; refuses NaN, infinity and those of zeros only."""
         rows = self.rows[first : first + count]
         block = as_float32(self.read(rows))
         sizes = np.abs(block).max(axis=1)  # NaN where one of its numbers is
@@ -108,11 +102,7 @@ class DescriptorPair:
         return len(self.query) * len(self.reference)
 
     def check_counts(self, references: int, queries: int) -> None:
-        """Refuse other numbers of descriptors than there are places and frames.
-
-        Raises:
-            ValueError: naming the technique.
-        """
+        """Refuse other numbers of descriptors than there are places and frames."""
         if (len(self.reference), len(self.query)) != (references, queries):
             raise ValueError(
                 f"technique {self.technique!r} has descriptors of {len(self.reference)} places and"
@@ -121,11 +111,7 @@ class DescriptorPair:
             )
 
     def check_apart(self) -> None:
-        """Refuse a run that is the map: each frame would be found by itself.
-
-        Raises:
-            ValueError: naming the file.
-        """
+        """Refuse a run that is the map: each frame would be found by itself."""
         here, there = self.sides
         same = os.path.realpath(here.source) == os.path.realpath(there.source)
         if same and np.array_equal(here.rows, there.rows):
@@ -138,10 +124,9 @@ class DescriptorPair:
     def score_rows(
         self, advance: Callable[[int], object] = lambda done: None
     ) -> Iterator[NDArray[np.float32]]:
-        """The score rows, (n, R) at a time; the map is read once for each.
+        """The score rows, (n, R) at a time; ``advance`` is told how many pairs were compared.
 
-        Args:
-            advance: called with the number of pairs that were compared.
+        The map is read once for each.
 
         Raises:
             ValueError: as :meth:`Descriptors.block`; for a score that float32 cannot hold.
@@ -205,12 +190,9 @@ def from_npy(path: Path) -> Descriptors:
     if header.dtype.kind in "UST":
         raise ValueError(f"{path} lists names ({header.dtype}); give the file of descriptors")
     _check(path, header.shape, header.dtype, 2)
-    order: Literal["C", "F"] = "F" if header.fortran_order else "C"
 
     def read(rows: NDArray[np.int64]) -> NDArray[Any]:
-        # Mapped anew each time: so pages that were read are let go.
-        mapped = np.memmap(path, header.dtype, "r", header.offset, header.shape, order)
-        return np.asarray(mapped[rows])
+        return np.asarray(header.mapped(path)[rows])
 
     count, dimensions = header.shape
     return Descriptors(str(path), dimensions, np.arange(count), None, read)
@@ -239,11 +221,7 @@ def from_npy_files(folder: Path, paths: Sequence[Path]) -> Descriptors:
 
 
 def from_h5(path: Path, group: str = "") -> Descriptors:
-    """Those of a file as hloc writes it: a group per image, by its relative path.
-
-    Args:
-        path: the file.
-        group: only the images below it; "": all.
+    """Those below a group ("": all) of a file as hloc writes it: a group per image, by its path.
 
     Raises:
         ValueError: without h5py; when it is no such file, or has no such group.

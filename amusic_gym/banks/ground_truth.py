@@ -12,11 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.utils.checks import whole
 
-LARGEST_TOLERANCE = 2**31 - 1
-"""Places; the compiled dynamics count no further."""
-
-_FEW = 20
-"""Places of a map so small that all of them may be right for all frames."""
+LARGEST_TOLERANCE = 2**31 - 1  # places; the compiled dynamics count no further
+_FEW = 20  # places of a map so small that all of them may be right for all frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,10 +74,7 @@ class GroundTruth:
     def from_places(cls, centres: ArrayLike, tolerance: int, references: int) -> GroundTruth:
         """Ground truth from one place per query, ± ``tolerance`` places, cut off at the map's ends.
 
-        Args:
-            centres: (Q,) integers in [0, R), or -1 for a query without a true place.
-            tolerance: places to either side that count as right.
-            references: R, places on the map.
+        ``centres`` (Q,) are in [0, R), or -1 for a query without a true place.
         """
         middle = _integers(centres, "ground truth")
         _check_range(middle, -1, references, "true place")
@@ -97,9 +91,7 @@ class GroundTruth:
     def widened(self, tolerance: int, parts: Sequence[int] = ()) -> GroundTruth:
         """The same, and ``tolerance`` places to either side of each true one, on its own part.
 
-        Args:
-            tolerance: places.
-            parts: lengths of the parts that the map is joined of; by default it is one.
+        ``parts`` are the lengths of those that the map is joined of; by default it is one.
         """
         reach = min(check_tolerance(tolerance), self.references)
         ends = np.cumsum(parts or [self.references])
@@ -144,11 +136,9 @@ class GroundTruth:
         return self.places[self.indptr[query] : self.indptr[query + 1]]
 
     def correct(self, predictions: ArrayLike, frames: ArrayLike | None = None) -> NDArray[np.bool_]:
-        """Whether each predicted place is a true one, (n,); -1 (no prediction) never is.
+        """Whether each predicted place (n,) is a true one; −1 (no prediction) never is.
 
-        Args:
-            predictions: (n,) places in [0, R), or -1.
-            frames: (n,) the query frame of each; None: one prediction for every frame in order.
+        ``frames`` (n,) are the query frame of each; None: one prediction for every frame in order.
         """
         places, queries = self._pairs(predictions, frames)
         if not len(self._keys):
@@ -167,14 +157,9 @@ class GroundTruth:
     def distance(
         self, predictions: ArrayLike, frames: ArrayLike | None = None
     ) -> NDArray[np.float64]:
-        """Places from each prediction to the nearest true place.
+        """(n,) float64 places from each prediction to the nearest true one; arguments of `correct`.
 
-        Args:
-            predictions: (n,) places in [0, R), or -1.
-            frames: (n,) the query frame of each; None: one prediction for every frame in order.
-
-        Returns:
-            (n,) float64: R where there is no prediction; nan where the query has no true place.
+        R where there is no prediction; nan where the query has no true place.
         """
         places, queries = self._pairs(predictions, frames)
         result = np.full(len(places), np.nan)
@@ -185,14 +170,10 @@ class GroundTruth:
         return result
 
     def centres(self, predictions: ArrayLike) -> NDArray[np.int64]:
-        """(Q,) middle of the run of true neighbours nearest to each frame's prediction.
+        """(Q,) middle of the run of true neighbours nearest to each prediction; -1 where none is.
 
         A run that the map's end cuts off has its middle where that of a whole one would be.
-
-        -1 where the query has no true place.
-
-        Args:
-            predictions: (Q,) places in [0, R), or -1.
+        Predictions (Q,) are places in [0, R), or -1.
         """
         places, queries = self._pairs(predictions, None)
         result = np.full(len(places), -1)
@@ -318,11 +299,7 @@ def resolve_ground_truth(
 
 
 def check_tolerance(value: Any) -> int:
-    """A tolerance in places as int.
-
-    Raises:
-        ValueError: for anything but a whole number from 0 to ``LARGEST_TOLERANCE``.
-    """
+    """A tolerance in places as int; refuses what is none from 0 to ``LARGEST_TOLERANCE``."""
     if whole("tolerance", value, 0) > LARGEST_TOLERANCE:
         raise ValueError(f"tolerance is {value}; give at most {LARGEST_TOLERANCE} places")
     return int(value)

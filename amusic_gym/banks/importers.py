@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,7 @@ from amusic_gym.banks.truth_files import order_of, read_truth, unpickle
 from amusic_gym.utils import reading
 from amusic_gym.utils.names import suggest
 
-VPRBENCH_MATCHES = "precomputed_data_corrected.npy"
-"""The file that VPR-Bench keeps in each technique's folder."""
-
+VPRBENCH_MATCHES = "precomputed_data_corrected.npy"  # VPR-Bench's file in each technique's folder
 _BLOCK = 2**18  # scores in memory at a time
 _SURE = 4.0  # standard deviations of chance that let scores be taken for distances
 
@@ -145,11 +143,8 @@ def from_recording(folder: _Path, techniques: Sequence[str] | None = None) -> Sc
     """A bank from a recording's folder: scores/NAME.npy, techniques.json, ground_truth.npy.
 
     ``techniques.json`` holds, per technique, ``encode_s`` and ``match_s``: seconds to encode a
-    frame and to match it with one reference.
-
-    Args:
-        folder: the recording.
-        techniques: which of them, in the bank's order; None: all, by name.
+    frame and to match it with one reference. ``techniques`` are those of the bank, in its order;
+    None: all, by name.
 
     Raises:
         FileNotFoundError: when a file is missing.
@@ -254,14 +249,10 @@ class _Matrix:
         return self.header.shape
 
     def blocks(self) -> Iterator[NDArray[np.float32]]:
-        """The rows, mapped anew for each block: so pages that were read are let go."""
+        """The rows, some at a time."""
         step = max(1, _BLOCK // self.shape[1])
-        order: Literal["C", "F"] = "F" if self.header.fortran_order else "C"
         for first in range(0, self.shape[0], step):
-            mapped = np.memmap(
-                self.path, self.header.dtype, "r", self.header.offset, self.shape, order
-            )
-            yield as_float32(mapped[first : first + step])
+            yield as_float32(self.header.mapped(self.path)[first : first + step])
 
 
 def _check_matrix(shape: tuple[int, ...], dtype: np.dtype[Any], path: _Path) -> None:

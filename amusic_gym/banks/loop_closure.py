@@ -1,7 +1,5 @@
 """One sequence against itself: only what lies more than some frames back is a candidate."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 
 import numpy as np

@@ -18,22 +18,16 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from amusic_gym.banks.bank import ScoreBank
 
-TOP = 20
-"""Places of a ranked list, unless another number is asked for."""
+TOP = 20  # places of a ranked list, unless another number is asked for
 
 _weights: WeakKeyDictionary[ScoreBank, NDArray[np.float64]] = WeakKeyDictionary()
 """(T, Q) 1/σ of each row over its candidates, 0 for a constant one."""
 
 
 def highest(row: NDArray[np.floating[Any]], count: int) -> NDArray[np.int64]:
-    """Places of the highest scores of a row (R,), the best first, ties to the lower place.
+    """(n,) places of the highest scores of a row (R,), the best first, ties to the lower place.
 
-    Args:
-        row: scores; −∞ of a place that is no candidate.
-        count: how many at most.
-
-    Returns:
-        (n,) int64, n ≤ ``count``: as many as there are candidates.
+    n is ``count``, or the number of candidates where these are fewer: a place of −∞ is none.
     """
     if count < len(row):
         least = np.partition(row, len(row) - count)[len(row) - count]
@@ -49,12 +43,8 @@ def ranked(
 ) -> NDArray[np.int64]:
     """The ranked list of a frame, (n,) places, n ≤ ``count``.
 
-    Args:
-        bank: the route.
-        frame: the frame.
-        ran: (T,) which techniques ran on it; where none did, the prediction is the whole list.
-        prediction: the policy's place; −1: it gave none.
-        count: how many places at most.
+    ``ran`` (T,) says which techniques ran; where none did, the prediction is the whole list. It is
+    −1 where the policy gave none.
     """
     first = np.array([prediction] if prediction >= 0 else [], np.int64)
     rest = highest(_fused(bank, frame, ran), count) if ran.any() else first

@@ -46,18 +46,14 @@ class PreparedRows:
 
     The kernels fill a row's entries the first time a technique runs on it, so that a large
     memory-mapped bank is never read as a whole.
-
-    Attributes:
-        prepared: (T, Q) :class:`PreparedRow` records.
-        top: (T, Q, K) int32, the K best places, ranked; ties to the lower index; K is clipped to R.
-        candidates: K.
     """
 
     def __init__(self, bank: ScoreBank, candidates: int) -> None:
         techniques, queries, self.references = bank.shape
-        self.candidates = min(candidates, self.references)
+        self.candidates = min(candidates, self.references)  # K
         self.prepared: NDArray[Any] = np.zeros((techniques, queries), PreparedRow.dtype)
         self.prepared["serial"] = np.nan
+        # (T, Q, K) the best places, ranked; ties to the lower index
         self.top: NDArray[np.int32] = np.zeros((techniques, queries, self.candidates), np.int32)
         self._addresses = {  # (T,) of every technique's rows
             "scores": _addresses(bank.stored)[bank.index],

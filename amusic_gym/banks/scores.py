@@ -1,7 +1,5 @@
 """Names and scores of techniques, checked."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
@@ -39,11 +37,7 @@ def check_names(techniques: Sequence[str], count: int | None = None) -> tuple[st
 
 
 def check_rows(technique: str, rows: NDArray[np.float32], first: int = 0) -> None:
-    """Refuse score rows (n, R), of the frames from ``first`` on, with NaN or +∞.
-
-    Raises:
-        ValueError: naming technique, frame and place.
-    """
+    """Refuse score rows (n, R), of the frames from ``first`` on, with NaN or +∞."""
     for frame, row in enumerate(rows, first):
         if not (row < np.inf).all():
             place = int(np.argmin(row < np.inf))

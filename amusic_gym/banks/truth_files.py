@@ -1,7 +1,5 @@
 """Ground truth in files: NumPy's, VPR-Bench's, or text."""
 
-from __future__ import annotations
-
 import csv
 import os
 import re
@@ -16,17 +14,14 @@ from numpy.typing import NDArray
 from amusic_gym.banks.ground_truth import GroundTruth, resolve_ground_truth
 from amusic_gym.utils import reading
 
-PAIRS_HEADER = "query,place"
-"""First line of a text file that lists pairs, as messages give it."""
+PAIRS_HEADER = "query,place"  # first line of a text file that lists pairs, as messages give it
 
 _QUERY, _PLACE = (
     re.compile(rf"({words})s?([ _-]?(id|idx|index|name|image|frame|file|filename|path))?")
     for words in ("query|querie", "place|reference|ref|database|db|map")
 )
 _LARGEST_TEXT = 2**31  # bytes
-
-Names = tuple[Sequence[str], Sequence[str]]
-"""File names of the queries and of the places."""
+Names = tuple[Sequence[str], Sequence[str]]  # file names of the queries and of the places
 
 
 def read_truth(

@@ -5,8 +5,6 @@ A command is a module of its name with ``add_arguments(parser)`` and, unless tha
 here raises as a ValueError of one sentence; what is not there, as a FileNotFoundError.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from functools import partial
@@ -34,12 +32,9 @@ COMMANDS = {
 
 
 def start(name: str, words: Sequence[str] | None = None, prog: str | None = None) -> None:
-    """Run a command in this process.
+    """Run one of `COMMANDS` in this process, with its arguments or those of the process.
 
-    Args:
-        name: one of `COMMANDS`.
-        words: its arguments; None: those of this process.
-        prog: what its help and refusals call it; None: the name of the running script.
+    Its help and refusals call it ``prog``, or by the name of the running script.
 
     Raises:
         SystemExit: for arguments that are refused, or a call for help.

@@ -3,8 +3,6 @@
 arrays | descriptors | vprbench | images | tour | simulate | retime | info; render | describe.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 
@@ -12,6 +10,7 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.bank_files import check_destination
 from amusic_gym.cli.bank_descriptors import add_describe, add_descriptors, describe, descriptors
 from amusic_gym.cli.bank_images import add_images, add_render, add_tour, images, render, tour
+from amusic_gym.cli.bank_truth import given
 from amusic_gym.cli.images import tell
 from amusic_gym.cli.options import MANY
 from amusic_gym.cli.parser import Parser, add_commands, numbers, pairs
@@ -53,10 +52,8 @@ def simulate(args: argparse.Namespace) -> None:
     """A simulated route -> a bank."""
     from amusic_gym.routes.simulate import simulate
 
-    options = {
-        name: getattr(args, name) for name in ("queries", "references", "techniques", "motion")
-    }
-    bank = simulate(args.seed, **{name: v for name, v in options.items() if v is not None})
+    options = given(args, "queries", "references", "techniques", "motion")
+    bank = simulate(args.seed, **options)
     tell(bank.save(args.out), bank.shape)
 
 
@@ -123,22 +120,16 @@ def _add_simulate(parser: Parser) -> None:
     add("--queries", type=int, metavar="Q", help="frames of the route")
     add("--references", type=int, metavar="R", help="places on the map")
     add("--techniques", type=int, metavar="T", help="how many techniques")
-    add(
-        "--motion",
-        metavar="recorded|paced|kidnapped",
-        help="1:1 (recorded, the default); stops and other speeds; jumps besides",
-    )
+    motions = "1:1 (recorded, the default); stops and other speeds; jumps besides"
+    add("--motion", metavar="recorded|paced|kidnapped", help=motions)
     parser.add_shared("--out")
 
 
 def _add_retime(parser: Parser) -> None:
-    parser.add_argument("bank", type=Path, metavar="BANK", help="the recording")
-    parser.add_argument(
-        "--motion",
-        default="kidnapped",
-        metavar="paced|kidnapped",
-        help="stops and other speeds; jumps besides (default: %(default)s)",
-    )
+    add = parser.add_argument
+    add("bank", type=Path, metavar="BANK", help="the recording")
+    motions = "stops and other speeds; jumps besides (default: %(default)s)"
+    add("--motion", default="kidnapped", metavar="paced|kidnapped", help=motions)
     parser.add_shared("--seed", required=True, help="of the motion")
     parser.add_shared("--name", "--out")
 

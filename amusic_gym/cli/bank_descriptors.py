@@ -1,7 +1,5 @@
 """The commands of ``bank`` that have to do with descriptors: descriptors | describe."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from pathlib import Path

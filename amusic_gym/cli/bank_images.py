@@ -1,15 +1,13 @@
 """The commands of ``bank`` that have to do with images: images | tour | render."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from amusic_gym.banks.bank_files import check_destination
 from amusic_gym.cli import images as shared
@@ -24,18 +22,15 @@ from amusic_gym.routes.datasets import LoadedRoute, load_dataset
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.utils.checks import whole
 
-if TYPE_CHECKING:
-    from amusic_gym.banks.bank import ScoreBank
-    from amusic_gym.techniques import Technique
-
-LEAST_SIZE = 16
-"""Pixels of a rendered image's sides."""
+LEAST_SIZE = 16  # pixels of a rendered image's sides
 
 PART = re.compile(r"([^:]+):([^:]+?)(?:@(\d+):(\d+):([1-9]\d*))?")
 
 
 def images(args: argparse.Namespace) -> None:
     """Two folders of images, or a data set -> a bank."""
+    from amusic_gym.extraction import extract
+
     named = [item.partition("=")[0] for item in args.reference_descriptors]
     techniques, seconds = shared.techniques_of(args, named)
     with ExitStack() as stack:
@@ -45,9 +40,18 @@ def images(args: argparse.Namespace) -> None:
         if args.copies:
             widened = image_truth.with_copies(route.ground_truth, route.reference)
             route = replace(route, ground_truth=widened)
-        what = {name: value for name, value in vars(route).items() if name != "positions"}
-        what |= {"exclude_recent": args.exclude_recent, "descriptors": pairs}
-        bank = _extract(args, techniques, seconds, **what)
+        bank = extract(
+            route.reference,
+            route.query,
+            techniques,
+            tolerance=route.tolerance,
+            ground_truth=route.ground_truth,
+            exclude_recent=args.exclude_recent,
+            descriptors=pairs,
+            seconds=seconds,
+            **_extraction(args, route.name),
+        )
+    shared.tell(bank.path, bank.shape)
     if route.positions is None:
         return
     metres = image_truth.METRES if args.metres is None else args.metres
@@ -66,7 +70,7 @@ def tour(args: argparse.Namespace) -> None:
     parts = [_part(text) for text in args.part]
     chosen = CONDITIONS if args.conditions is None else args.conditions.split(",")
     made = tours.make_tour(parts, list(chosen), seed=args.seed)
-    truth = made.ground_truth(args.tolerance)
+    made.ground_truth(args.tolerance)  # refuses a tolerance before any work
     techniques, seconds = shared.techniques_of(args)
     check_destination(args.out)
     if args.images is not None:
@@ -74,16 +78,10 @@ def tour(args: argparse.Namespace) -> None:
         total = len(made.reference) + len(made.query)
         with Progress(True).bar("tour", total, "images") as advance:
             print(f"{tours.write_tour(made, args.images, advance)}: {total} images")
-    _extract(
-        args,
-        techniques,
-        seconds,
-        reference=made.reference,
-        query=made.query,
-        ground_truth=truth,
-        tolerance=args.tolerance,
-        source=made.source,
+    bank = shared.extract_tour(
+        made, techniques, args.tolerance, seconds=seconds, **_extraction(args)
     )
+    shared.tell(bank.path, bank.shape)
     for spell in made.spells:
         print(f"from frame {spell.first}: {spell.condition}")
 
@@ -113,34 +111,16 @@ def render(args: argparse.Namespace) -> None:
         print(f"{args.out / name}: {args.places} images")
 
 
-def _extract(
-    args: argparse.Namespace,
-    techniques: Sequence[Technique],
-    seconds: Mapping[str, float],
-    *,
-    reference: Any,
-    query: Any,
-    name: str = "",
-    **more: Any,
-) -> ScoreBank:
-    """Extract scores to ``--out``, and tell of it; ``more`` is passed on to `extract`."""
-    from amusic_gym.extraction import extract
-
-    bank = extract(
-        reference,
-        query,
-        techniques,
-        seconds=seconds,
-        measure_again=args.measure_again,
-        cache=args.cache,
-        executor=args.executor,
-        out=args.out,
-        progress=True,
-        name=args.name or name,
-        **more,
-    )
-    shared.tell(bank.path, bank.shape)
-    return bank
+def _extraction(args: argparse.Namespace, name: str = "") -> dict[str, Any]:
+    """What the options of `_add_extraction` say, as `extract` takes it."""
+    return {
+        "measure_again": args.measure_again,
+        "cache": args.cache,
+        "executor": args.executor,
+        "out": args.out,
+        "progress": True,
+        "name": args.name or name,
+    }
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -237,20 +217,17 @@ def add_images(parser: Parser) -> None:
 def add_tour(parser: Parser) -> None:
     """Add the arguments of ``tour``."""
     add = parser.add_argument
-    add(
-        "--part",
-        required=True,
-        metavar="REFERENCE:QUERY[@FIRST:STOP:STEP]",
-        help="two folders with as many images each; frame q is at place q; of both, images FIRST, "
-        "FIRST + STEP, … before STOP, or all",
-        **MANY,
+    parts = (
+        "two folders with as many images each; frame q is at place q; of both, images FIRST, "
+        "FIRST + STEP, … before STOP, or all"
     )
-    add(
-        "--conditions",
-        metavar="A,B",
-        help="of the query, a spell of 40 to 80 frames each: plain, night, blur, shift, fog, rain, "
-        "glare (default: all); NAME:STRENGTH, above 0 and up to 1, and A+B for both at once",
+    cut = "REFERENCE:QUERY[@FIRST:STOP:STEP]"
+    add("--part", required=True, metavar=cut, help=parts, **MANY)
+    spells = (
+        "of the query, a spell of 40 to 80 frames each: plain, night, blur, shift, fog, rain, "
+        "glare (default: all); NAME:STRENGTH, above 0 and up to 1, and A+B for both at once"
     )
+    add("--conditions", metavar="A,B", help=spells)
     add("--images", type=Path, metavar="DIR", help="write these, too, to DIR/reference, DIR/query")
     parser.add_shared("--seed", help="of the conditions (default: %(default)s)")
     parser.add_shared("--tolerance", required=True)

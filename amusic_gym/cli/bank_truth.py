@@ -1,12 +1,10 @@
 """What the commands that make banks are told of ground truth."""
 
-from __future__ import annotations
-
 import argparse
 from typing import Any
 
 from amusic_gym.banks.ground_truth import GroundTruth
-from amusic_gym.cli.images import Traverse, has_positions
+from amusic_gym.cli.images import Traverse
 from amusic_gym.cli.parser import Parser
 from amusic_gym.routes import image_truth
 from amusic_gym.routes.position_files import positions_of
@@ -32,7 +30,8 @@ def add_truth(parser: Parser) -> None:
 
 def check_truth(args: argparse.Namespace) -> None:
     """Refuse what contradicts itself, before any file is read."""
-    if args.truth_by is None and args.ground_truth is None and has_positions(args):
+    positions = given(args, "reference_positions", "query_positions")
+    if positions and args.truth_by is None and args.ground_truth is None:
         args.truth_by = "position"
     by = args.truth_by
     for name in given(args, "metres", "heading", "plot") if by != "position" else ():

@@ -8,8 +8,6 @@ borda[:DEPTH], hmm[:BETA/JUMP], switchhit[:TAU].
 With idle nothing may run on a frame. Rows that are finished in DIR already are not run again.
 """
 
-from __future__ import annotations
-
 import argparse
 from functools import partial
 

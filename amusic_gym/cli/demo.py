@@ -5,8 +5,6 @@ these, and compares the selectors that ship, whose training saw none of them, wi
 kind. With the variable AMUSIC_DATA the real Corridor recording is added, with --bank your own.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import shutil
@@ -43,8 +41,7 @@ SELECTORS = {
     SHIPS: "On tours that no training saw, the selector that ships (ppo)",
     MAY_IDLE: "The one that may run nothing on a frame (ppo:idle)",
 }
-FOLLOWS_STOPS = ("amusic:belief", "ppo@belief")
-"""Driven with on the route with stops, besides."""
+FOLLOWS_STOPS = ("amusic:belief", "ppo@belief")  # driven with on the route with stops, besides
 
 
 def add_arguments(parser: Parser) -> None:

@@ -1,16 +1,14 @@
 """What the demo's numbers say, in plain sentences."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from amusic_gym.evaluation.audit import PARTING
-from amusic_gym.evaluation.plots.labels import policy_label
 from amusic_gym.evaluation.study import Findings
 from amusic_gym.evaluation.study.findings import ahead
 from amusic_gym.evaluation.study.plan import MEAN
 from amusic_gym.evaluation.study.run import Row
+from amusic_gym.evaluation.study.tables import rival_label
 from amusic_gym.evaluation.tables import Table
 from amusic_gym.policies.registry import FRONTS, MAY_IDLE
 from amusic_gym.policies.trace import Trace
@@ -27,32 +25,22 @@ def best_within(rows: Sequence[Row], compute: float) -> Row:
     return max(fitting, key=lambda row: (round(row["auc"], 3), -row["compute"]))
 
 
-NOT_HOPELESS = 0.2
-"""Accuracy of a drive that fails and is worth a look."""
+NOT_HOPELESS = 0.2  # accuracy of a drive that fails and is worth a look
 
 
 class Tale(NamedTuple):
-    """What the study of the tours says.
+    """What the study of the tours says."""
 
-    Attributes:
-        sentences: the first on the first selector.
-        table: of every selector, with the best rival of each kind at no more compute.
-        rivals: policies that the table names.
-        weights: name of a selector → λ that is spoken of.
-    """
-
-    sentences: list[str]
-    table: Table
-    rivals: list[str]
-    weights: dict[str, float]
+    sentences: list[str]  # the first on the first selector
+    table: Table  # of every selector, with the best rival of each kind at no more compute
+    rivals: list[str]  # policies that the table names
+    weights: dict[str, float]  # name of a selector → λ that is spoken of
 
 
 def on_tours(findings: Findings, selectors: Mapping[str, str]) -> Tale:
     """Every selector against the best of each kind of rival on the tours.
 
-    Args:
-        findings: of the study of the tours.
-        selectors: name in the study → how a sentence begins.
+    ``selectors``: name in the study → how a sentence begins.
     """
     points = [row for row in findings.points if row["bank"] == MEAN]
     of = {row["policy"]: row for row in points}
@@ -88,14 +76,9 @@ def on_tours(findings: Findings, selectors: Mapping[str, str]) -> Tale:
 def highlights(
     traces: Sequence[Trace], tours: Sequence[str], stops: str, selector: str, tale: Tale
 ) -> list[tuple[str, Trace]]:
-    """Drives to look at first: as spoken of, with stops, by the belief, and one that fails.
+    """A selector's drives to look at first: as spoken of, with stops, and one that fails.
 
-    Args:
-        traces: of all drives.
-        tours: names of the tours' banks.
-        stops: name of the bank with stops.
-        selector: whose drives.
-        tale: which λ is spoken of.
+    ``tours`` and ``stops`` are names of banks. With stops there is one by the belief, too.
     """
     own = [trace for trace in traces if trace.policy == selector]
     spoken = [trace for trace in own if trace.compute_weight == tale.weights[selector]]
@@ -151,18 +134,13 @@ def _verdicts(matches: Sequence[Row]) -> str:
 
 def _named(match: Row) -> str:
     """A rival, its AUC and compute: "HOG (0.676 at 5%)"."""
-    return f"{_rival(match)} ({match['rival_auc']:.3f} at {match['rival_compute']:.0%})"
-
-
-def _rival(match: Row) -> str:
-    weight = "" if match["rival_weight"] is None else f", λ {match['rival_weight']:g}"
-    return policy_label(match["rival"]) + weight
+    return f"{rival_label(match)} ({match['rival_auc']:.3f} at {match['rival_compute']:.0%})"
 
 
 def _table(matches: Sequence[Row]) -> Table:
     rows = [
         [f"{match['policy']}, λ {match['compute_weight']:g}", VERDICTS[ahead(match)]]
-        + [_rival(match), match["kind"], f"{match['rival_auc'] + match['difference']:.3f}"]
+        + [rival_label(match), match["kind"], f"{match['rival_auc'] + match['difference']:.3f}"]
         + [f"{match['rival_auc']:.3f}", f"{match['rival_compute']:.1%}"]
         + [_span(match["difference_interval"] or [match["difference"]], "+")]
         for match in matches

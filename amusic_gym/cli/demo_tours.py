@@ -1,7 +1,5 @@
 """The demo's tours: rendered worlds joined into drives, and what techniques make of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, closing
@@ -14,10 +12,11 @@ import cv2
 import numpy as np
 
 from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.cli.images import extract_tour
 from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.envs.pictures.drive import Pictures
 from amusic_gym.envs.task import RENDER_FPS
-from amusic_gym.extraction import Cache, describe_map, extract
+from amusic_gym.extraction import Cache, describe_map
 from amusic_gym.live.navigation import navigate
 from amusic_gym.policies.protocol import Selector
 from amusic_gym.routes.motion import PACED
@@ -34,16 +33,12 @@ TOLERANCE = 1
 PLACES = 100
 TOURS = 3
 WORKERS = 2
-FIRST_WORLD = 4_000
-"""Seed of the first world; what ships was trained on others."""
+FIRST_WORLD = 4_000  # seed of the first world; what ships was trained on others
 
 STOPS_SEED = 3
 COMPUTE_WEIGHT = 0.3
-INTO_SPELL = 20
-"""Frames into a spell: the image of it that the contact sheet shows."""
-
-OF_DRIVE = 60
-"""Frame of the live drive that the page shows."""
+INTO_SPELL = 20  # frames into a spell: the image of it that the contact sheet shows
+OF_DRIVE = 60  # frame of the live drive that the page shows
 
 
 class DemoWorld(NamedTuple):
@@ -61,12 +56,9 @@ WORLDS = (
 
 
 def make_tours(out: Path, first: int, say: Callable[[str], None]) -> list[Tour]:
-    """Tours through worlds of their own, rendered to ``out/images``; what is there is kept.
+    """Tours, with seeds from ``first`` on, through worlds of their own, rendered to ``out/images``.
 
-    Args:
-        out: the demo's folder.
-        first: seed of the first tour.
-        say: is told what is done.
+    What is there is kept; ``say`` is told what is done.
     """
     seeds = range(first, first + TOURS)
     jobs = [
@@ -84,7 +76,6 @@ def make_tours(out: Path, first: int, say: Callable[[str], None]) -> list[Tour]:
 
 
 def _render(places: int, folder: Path, world: DemoWorld, seed: int) -> tuple[Path, Path]:
-    """Folders of the map and of the drive."""
     cv2.setNumThreads(1)
     render_folders(folder, [world.condition], seed=seed, places=places, kind=world.kind)
     return folder / "reference", folder / world.condition
@@ -97,19 +88,8 @@ def banks_of(tours: Sequence[Tour], out: Path, say: Callable[[str], None]) -> li
         for tour in tours:
             name = f"tour-{tour.seed}"
             say(f"running {', '.join(TECHNIQUES)} on {name}")
-            bank = extract(
-                tour.reference,
-                tour.query,
-                TECHNIQUES,
-                tolerance=TOLERANCE,
-                ground_truth=tour.ground_truth(TOLERANCE),
-                source=tour.source,
-                cache=cache,
-                executor=f"process:{WORKERS}",
-                name=name,
-                out=out / "banks" / name,
-            )
-            banks.append(bank)
+            where = {"executor": f"process:{WORKERS}", "out": out / "banks" / name}
+            banks.append(extract_tour(tour, TECHNIQUES, TOLERANCE, cache=cache, name=name, **where))
     return banks
 
 
@@ -133,14 +113,8 @@ def contact_sheet(tour: Tour, out: Path) -> Path:
 def drive(out: Path, selector: Selector, tour: Tour, bank: ScoreBank) -> Path:
     """Let a selector drive live along a tour, filmed as ``out/drive.mp4``.
 
-    Args:
-        out: the demo's folder.
-        selector: who drives.
-        tour: the route.
-        bank: of the same images; gives the costs and what is true.
-
-    Returns:
-        The picture of one frame.
+    The bank, of the same images, gives the costs and what is true. The picture of one frame is
+    returned.
     """
     path = out / "drive.png"
     with ExitStack() as stack:

@@ -1,11 +1,9 @@
 """What ``navigate`` matches its frames against: a map's folder, or images described now."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.banks.truth_files import read_truth
@@ -19,12 +17,9 @@ from amusic_gym.extraction.thumbnails import Thumbnails
 from amusic_gym.routes import image_truth
 from amusic_gym.routes.folders import ImageFolder, check_apart
 from amusic_gym.routes.positions import Positions
+from amusic_gym.techniques import Technique
 
-if TYPE_CHECKING:
-    from amusic_gym.techniques import Technique
-
-TECHNIQUES = "hog,cohog,calc,netvlad"
-"""Of a map of images where none are named."""
+TECHNIQUES = "hog,cohog,calc,netvlad"  # of a map of images where none are named
 
 _OF_IMAGES = ("reference", "techniques", "reference_positions", "cache")
 

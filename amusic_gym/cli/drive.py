@@ -1,34 +1,35 @@
 """What ``navigate`` prints: a line per frame, and a summary however the drive ends."""
 
-from __future__ import annotations
-
+import argparse
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 import numpy as np
 
 from amusic_gym.envs.live_route import LiveRoute
 from amusic_gym.live.answers import Answers
 from amusic_gym.live.answers import line as as_json
-from amusic_gym.live.navigation import FrameResult
+from amusic_gym.live.drives import FrameResult
 from amusic_gym.live.rerun import Recording
 from amusic_gym.live.server import AnswerServer
+from amusic_gym.utils.closing import Closing
 
 DOUBT, SETTLED = 0.5, 20
 """p̂ of a doubtful frame, and frames after which many of them are worth a word."""
 
+Publish = Callable[[FrameResult, dict[str, Any]], object]  # takes a frame and its answer
+
 HEADER = f"{'frame':>6} {'place':>6} {'confidence':>10} {'p':>5} {'ms':>8}  techniques"
 
 
-class Journal:
+class Journal(Closing):
     """Prints results as they come, and the summary when it is left, by Ctrl-C too."""
 
     def __init__(self, route: LiveRoute, answers: Answers, *, quiet: bool = False) -> None:
-        """Nothing is printed yet."""
         self.answers = answers
         self.route = route
         self.quiet = quiet
@@ -55,10 +56,8 @@ class Journal:
             print(line(result, right, self.answers.known(result)), flush=True)
         return right
 
-    def __enter__(self) -> Journal:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Print the summary."""
         if self.frames:
             print("\n".join(["", *self.summary()]), flush=True)
 
@@ -86,51 +85,27 @@ class Journal:
         return lines
 
 
-class Publisher(ExitStack):
-    """Gives every frame's answer to other programs: lines of JSON, HTTP, and Rerun.
-
-    Args:
-        lines: where lines of JSON go; None: nowhere.
-        port: of HTTP on ``host``; None: none.
-        host: its address.
-        rerun: a file of Rerun, or ``"connect"``; None: none.
+def publishers(args: argparse.Namespace, lines: TextIO | None, stack: ExitStack) -> list[Publish]:
+    """What gives answers to other programs: lines of JSON, if any, ``--http`` and ``--rerun``.
 
     Raises:
         ValueError: for a port that cannot be had, or Rerun where it is not installed.
     """
-
-    def __init__(
-        self,
-        *,
-        lines: TextIO | None = None,
-        port: int | None = None,
-        host: str = "127.0.0.1",
-        rerun: str | None = None,
-    ) -> None:
-        super().__init__()
-        self._lines = lines
-        self._server: AnswerServer | None = None
-        self._recording: Recording | None = None
-        if port is not None:
-            try:
-                self._server = self.enter_context(AnswerServer(port, host))
-            except (OSError, OverflowError) as error:
-                raise ValueError(
-                    f"--http {port} on --host {host}: {error}; give another port or address"
-                ) from None
-            print(f"answers at {self._server.url}", file=sys.stderr)
-        if rerun is not None:
-            self._recording = self.enter_context(Recording(rerun))
-
-    def write(self, result: FrameResult, answers: Answers, right: bool | None) -> None:
-        """Publish a frame, of which ``answers`` makes what is told."""
-        answer = answers.of(result, right)
-        if self._lines is not None:
-            print(as_json(answer), file=self._lines, flush=True)
-        if self._server is not None:
-            self._server.put(answer)
-        if self._recording is not None:
-            self._recording.write(result, answer)
+    found: list[Publish] = []
+    if lines is not None:
+        found.append(lambda _, answer: print(as_json(answer), file=lines, flush=True))
+    if args.http is not None:
+        try:
+            server = stack.enter_context(AnswerServer(args.http, args.host))
+        except (OSError, OverflowError) as error:
+            raise ValueError(
+                f"--http {args.http} on --host {args.host}: {error}; give another port or address"
+            ) from None
+        print(f"answers at {server.url}", file=sys.stderr)
+        found.append(lambda _, answer: server.put(answer))
+    if args.rerun is not None:
+        found.append(stack.enter_context(Recording(args.rerun)).write)
+    return found
 
 
 def line(result: FrameResult, right: bool | None, known: bool | None = None) -> str:

@@ -3,8 +3,6 @@
 The banks that were compared on must have been made of images, which are still where they were.
 """
 
-from __future__ import annotations
-
 import argparse
 from functools import partial
 from pathlib import Path

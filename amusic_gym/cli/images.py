@@ -1,26 +1,24 @@
 """What the commands that read images share: folders, techniques, seconds; what they tell."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import warnings
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.cli.parser import by_technique, numbers
 from amusic_gym.extraction.progress import Progress
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.position_files import EXIF, positions_of, read_track
 from amusic_gym.routes.positions import Positions
+from amusic_gym.routes.tours import Tour
 from amusic_gym.routes.video_frames import frames_of
+from amusic_gym.techniques import Technique, make_technique
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import few
-
-if TYPE_CHECKING:
-    from amusic_gym.techniques import Technique
 
 _NAMED = 3  # damaged images that a warning names before it only counts
 
@@ -30,11 +28,6 @@ class Traverse(NamedTuple):
 
     folder: ImageFolder
     positions: Positions | None = None
-
-
-def has_positions(args: argparse.Namespace) -> bool:
-    """Whether a file of positions is named."""
-    return args.reference_positions is not None or args.query_positions is not None
 
 
 def map_of(args: argparse.Namespace, stack: ExitStack) -> Traverse:
@@ -123,13 +116,26 @@ def techniques_of(
 
     ``others`` are names of techniques that do not run here, and may have seconds.
     """
-    from amusic_gym.techniques import make_technique
-
     specs, files = specs_of(args)
     how = {"device": args.device, "trust": args.trust}
     made = [make_technique(spec, files.get(spec), **how) for spec in specs]
     names = [*(technique.name for technique in made), *others]
     return made, numbers(by_technique(args.seconds, names, "--seconds"), "--seconds")
+
+
+def extract_tour(tour: Tour, techniques: Any, tolerance: int, **options: Any) -> ScoreBank:
+    """A tour's bank; ``techniques`` and ``options`` are those of `extract`."""
+    from amusic_gym.extraction import extract
+
+    return extract(
+        tour.reference,
+        tour.query,
+        techniques,
+        tolerance=tolerance,
+        ground_truth=tour.ground_truth(tolerance),
+        source=tour.source,
+        **options,
+    )
 
 
 def tell(path: Path | None, shape: tuple[int, int, int]) -> None:

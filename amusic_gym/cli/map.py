@@ -4,8 +4,6 @@ A map is a folder with descriptors, small images and, if given, positions of all
 --map` and `amusic_gym.live.localiser` load it; the images are no longer needed.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from contextlib import ExitStack

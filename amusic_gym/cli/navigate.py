@@ -6,8 +6,6 @@ Techniques and policy run once on images of the map before the drive, so that co
 are not in the first frame's time.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,7 +28,7 @@ from amusic_gym.cli.described import (
     techniques_for,
     truth_of,
 )
-from amusic_gym.cli.drive import Journal, Publisher, check_outputs
+from amusic_gym.cli.drive import Journal, check_outputs, publishers
 from amusic_gym.cli.images import run_of, thinning
 from amusic_gym.cli.options import MANY
 from amusic_gym.cli.parser import (
@@ -50,9 +48,10 @@ from amusic_gym.envs.window import Window
 from amusic_gym.evaluation.contestants import Contestant, check_weights, contestants
 from amusic_gym.evaluation.plots.labels import policy_label
 from amusic_gym.live.answers import Answers
+from amusic_gym.live.drives import FrameResult
 from amusic_gym.live.limits import Keeper, Limits
 from amusic_gym.live.localiser import COMPUTE_WEIGHT, TOLERANCE
-from amusic_gym.live.navigation import FrameResult, TraceWriter, navigate
+from amusic_gym.live.navigation import TraceWriter, navigate
 from amusic_gym.policies.protocol import Context, Policy
 from amusic_gym.routes import image_truth
 from amusic_gym.routes.network_camera import NetworkCamera
@@ -63,8 +62,7 @@ from amusic_gym.utils.checks import share, whole
 
 LIMITS = ("budget_ms", "budget_fps", "budget_joules", "cap_ms")
 
-WARM_UP = 2
-"""Frames of the map that the policy is run on before the drive."""
+WARM_UP = 2  # frames of the map that the policy is run on before the drive
 
 
 def add_arguments(parser: Parser) -> None:
@@ -128,8 +126,7 @@ def main(args: argparse.Namespace) -> None:
         if args.output == "jsonl":
             lines = sys.stdout
             stack.enter_context(redirect_stdout(sys.stderr))
-        publisher = Publisher(lines=lines, port=args.http, host=args.host, rerun=args.rerun)
-        stack.enter_context(publisher)
+        publish = publishers(args, lines, stack)
         if args.map is None:
             techniques, seconds = techniques_for(args)
             names = [one.name for one in techniques]
@@ -163,7 +160,9 @@ def main(args: argparse.Namespace) -> None:
         answers = Answers(getattr(images, "names", None), described.positions, args.min_p)
         journal = stack.enter_context(Journal(route, answers, quiet=args.quiet or bool(lines)))
         for result in islice(drive, args.frames):
-            publisher.write(result, answers, journal.write(result))
+            answer = answers.of(result, journal.write(result))
+            for each in publish:
+                each(result, answer)
             if trace:
                 trace.write(result)
             picture = pictures.draw(result) if video or window else None
@@ -281,7 +280,6 @@ def _drive(
     seed: int,
     keep: Callable[[Policy], Keeper | None] = lambda policy: None,
 ) -> Iterator[FrameResult]:
-    """A drive with a fresh policy."""
     made = policy.make(Context.of(route, seed=seed, **correction))
     weight = policy.compute_weights[0]
     return navigate(made, route, compute_weight=weight, keeper=keep(made), **correction)

@@ -1,7 +1,5 @@
 """Options that several commands take, each described once."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,12 @@ SHARED: dict[str, dict[str, Any]] = {
         "type": Path,
         "metavar": "DIR",
         "help": "where descriptors are kept (default: $XDG_CACHE_HOME or ~/.cache, amusic-gym)",
+    },
+    "--compute-weight": {
+        "nargs": "+",
+        "type": float,
+        "metavar": "L",
+        "help": "λ (default: %(default)s)",
     },
     "--costs": {"help": "cost model (default: the bank's own)"},
     "--device": {

@@ -1,7 +1,5 @@
 """What the commands share: a parser that refuses in one line, arguments, values by name."""
 
-from __future__ import annotations
-
 import argparse
 import re
 import sys

@@ -1,7 +1,5 @@
 """Arguments of the commands that run policies on banks: compare | study."""
 
-from __future__ import annotations
-
 import argparse
 
 from amusic_gym.banks.bank import ScoreBank
@@ -18,14 +16,8 @@ def add_policies(parser: Parser, whose: str, most_weights: str = "") -> None:
     parser.add_shared("--out", type=page_folder, metavar="DIR")
     subsets = f"add every subset of the techniques, of at most {MOST_TECHNIQUES}"
     parser.add_argument("--all-subsets", action="store_true", help=subsets)
-    parser.add_argument(
-        "--compute-weight",
-        nargs="+",
-        type=float,
-        default=COMPUTE_WEIGHTS,
-        metavar="L",
-        help=f"λ of the selectors and of voi{most_weights} (default: %(default)s)",
-    )
+    weights = f"λ of the selectors and of voi{most_weights} (default: %(default)s)"
+    parser.add_shared("--compute-weight", default=COMPUTE_WEIGHTS, help=weights)
     add_statistic(parser, whose)
     parser.add_shared("--costs", choices=COST_MODELS)
 

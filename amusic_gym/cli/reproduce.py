@@ -6,8 +6,6 @@ DIR/banks holds the scores; what is finished is not done again. docs/datasets.md
 folders of --root are laid out.
 """
 
-from __future__ import annotations
-
 import argparse
 from functools import partial
 from pathlib import Path

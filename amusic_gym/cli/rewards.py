@@ -5,20 +5,23 @@ the mean reward per frame as the environment gives it (p̂ - λ · compute) and 
 (correct - λ · compute). Any policy that chooses techniques may be named, such as ppo:RUN.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from tqdm import tqdm
 
+from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.cli.parser import Parser, add_statistic, correction_of, destination
-
-if TYPE_CHECKING:
-    from amusic_gym.banks.bank import ScoreBank
-    from amusic_gym.evaluation.tables import Table
+from amusic_gym.envs.sources import ordinary
+from amusic_gym.evaluation.contestants import check_weights
+from amusic_gym.evaluation.rollout import Job
+from amusic_gym.evaluation.tables import Table
+from amusic_gym.policies.protocol import Context, Selector
+from amusic_gym.utils.checks import whole
+from amusic_gym.utils.storage import write_whole
 
 POLICIES = ("random:0", "random:0.5", "music", "cascade", "voi", "amusic:evidence", "ppo")
 """The cheapest technique, any, all, rules that look, and the selector that ships."""
@@ -31,32 +34,18 @@ def add_arguments(parser: Parser) -> None:
     from amusic_agents.evaluation import COMPUTE_WEIGHTS
 
     parser.add_shared("--policy", nargs="+", default=list(POLICIES))
-    parser.add_argument(
-        "--routes", type=int, default=64, help="simulated routes (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--compute-weight",
-        nargs="+",
-        type=float,
-        default=list(COMPUTE_WEIGHTS),
-        metavar="L",
-        help="λ (default: %(default)s)",
-    )
+    routes = "simulated routes (default: %(default)s)"
+    parser.add_argument("--routes", type=int, default=64, help=routes)
+    parser.add_shared("--compute-weight", default=list(COMPUTE_WEIGHTS))
     add_statistic(parser, "for all policies that have none of their own")
     parser.add_shared("--seed")
-    parser.add_shared(
-        "--out", type=destination, required=False, metavar="FILE", help="write the tables, too"
-    )
+    file = {"required": False, "metavar": "FILE", "help": "write the tables, too"}
+    parser.add_shared("--out", type=destination, **file)
 
 
 def main(args: argparse.Namespace) -> None:
     """Print a table of rewards and one of true rewards."""
     from amusic_agents.evaluation import held_out_routes
-
-    from amusic_gym.envs.sources import ordinary
-    from amusic_gym.evaluation.contestants import check_weights
-    from amusic_gym.utils.checks import whole
-    from amusic_gym.utils.storage import write_whole
 
     how = correction_of(args)
     weights = check_weights(args.compute_weight)
@@ -80,10 +69,6 @@ def reference_rewards(
     """Rewards per frame of each policy, (2, B, L): by p̂, and by what is true."""
     from amusic_agents.evaluation import measure
     from amusic_baselines import make_policy
-    from tqdm import tqdm
-
-    from amusic_gym.evaluation.rollout import Job
-    from amusic_gym.policies.protocol import Context, Selector
 
     def selector(name: str, bank: ScoreBank) -> Selector:
         policy = make_policy(name, Context.of(bank, seed=seed, **how))
@@ -111,8 +96,6 @@ def tables(
     found: dict[str, NDArray[np.float64]], weights: Sequence[float], frames: float
 ) -> list[Table]:
     """Mean rewards over the routes by λ, then what of them is true."""
-    from amusic_gym.evaluation.tables import Table
-
     heads = ["policy", *(f"λ {weight:g}" for weight in weights)]
     shown = []
     for kind, title in enumerate(KINDS):

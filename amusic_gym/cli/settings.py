@@ -1,31 +1,35 @@
 """The settings of a training as options of a command, derived from their dataclasses."""
 
-from __future__ import annotations
-
 import argparse
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from amusic_agents.config import (
+    DEFAULTS,
+    USED_BY,
+    TrainingConfig,
+    leaves,
+    plain,
+    training_config,
+    with_leaves,
+    with_values,
+)
 
 from amusic_gym.cli.parser import Parser, add_correction, pairs
 from amusic_gym.utils.reading import read_json
 
-if TYPE_CHECKING:
-    from amusic_agents.config import TrainingConfig
-
 SHORT = {"rollouts.iterations": "--iterations", "rollouts.states": "--states"}
 """Second names of options."""
 
-PREFIX = "settings."
-"""Of the options' names among a command's arguments."""
+PREFIX = "settings."  # of the options' names among a command's arguments
 
 APART = ("carry", "discount", "simulation")
 """Settings whose options are of another form than their values."""
 
-FREE = ("timesteps", "threads")
-"""Settings that may be others when a training is resumed."""
+FREE = ("timesteps", "threads")  # settings that may be others when a training is resumed
 
 
 def option(name: str) -> str:
@@ -35,16 +39,12 @@ def option(name: str) -> str:
 
 def add_settings(parser: Parser) -> None:
     """Add an option for every setting of a training, and ``--config``."""
-    from amusic_agents.config import DEFAULTS, leaves, training_config
-
     add = parser.add_argument
-    add(
-        "--config",
-        type=Path,
-        metavar="FILE",
-        help="settings as JSON, as a run folder's config.json has them under 'training'; options"
-        " go before it",
+    file = (
+        "settings as JSON, as a run folder's config.json has them under 'training'; options go"
+        " before it"
     )
+    add("--config", type=Path, metavar="FILE", help=file)
     defaults = training_config("ppo")
     said = _described(defaults)
     for name, default in leaves(defaults).items():
@@ -56,13 +56,11 @@ def add_settings(parser: Parser) -> None:
         about = f"{said.get(name, '')} (default: {known})".replace("%", "%%")
         add(*names, dest=PREFIX + name, help=about, **_kind(default))
     add_correction(parser, "in training and ever after")
-    add(
-        "--simulation",
-        nargs="+",
-        metavar="NAME=VALUE",
-        help="draw training routes from other ranges, for example retimed=0 wander=0:0 "
-        "(names: amusic_gym.routes.simulate.Simulation)",
+    drawn = (
+        "draw training routes from other ranges, for example retimed=0 wander=0:0 (names:"
+        " amusic_gym.routes.simulate.Simulation)"
     )
+    add("--simulation", nargs="+", metavar="NAME=VALUE", help=drawn)
 
 
 def _kind(default: Any) -> dict[str, Any]:
@@ -119,8 +117,6 @@ def _value(text: str) -> float | str | tuple[float, ...]:
 
 def settings_of(args: argparse.Namespace) -> TrainingConfig:
     """The algorithm's defaults, with what ``--config`` and then the options say."""
-    from amusic_agents.config import training_config, with_leaves, with_values
-
     given = given_settings(args)
     file = {} if args.config is None else _read(args.config)
     config = training_config(given.get("algorithm", file.get("algorithm", "ppo")))
@@ -134,8 +130,6 @@ def settings_of(args: argparse.Namespace) -> TrainingConfig:
 
 def refuse_unused(algorithm: str, names: Iterable[str]) -> None:
     """Refuse settings of other algorithms."""
-    from amusic_agents.config import USED_BY
-
     for name in names:
         users = USED_BY.get(name.partition(".")[0], (algorithm,))
         if algorithm not in users:
@@ -155,8 +149,6 @@ def _read(path: Path) -> dict[str, Any]:
 
 def refuse_others(given: Mapping[str, Any], base: TrainingConfig, out: Path) -> None:
     """Refuse settings that are not those of the training to resume; some may be others."""
-    from amusic_agents.config import leaves, plain
-
     own = leaves(base)
     for name, value in given.items():
         if name not in FREE and plain(value) != own[name]:

@@ -1,7 +1,5 @@
 """How a command ends: its exit status, and one line on stderr where something is wrong."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os
@@ -19,12 +17,8 @@ from typing import Any, NoReturn
 from amusic_gym.utils.escaping import for_terminal
 
 INTERRUPTED, READER_GONE = 130, 141  # as a shell counts a death by SIGINT and by SIGPIPE
-
-STOPS = (signal.SIGTERM, signal.SIGHUP)
-"""Signals that a command takes as it takes Ctrl-C."""
-
-SAME = 10.0
-"""Seconds in which more of them are no second request: a closing terminal sends several."""
+STOPS = (signal.SIGTERM, signal.SIGHUP)  # signals that a command takes as it takes Ctrl-C
+SAME = 10.0  # seconds in which more of them are no second request: a closing terminal sends several
 
 
 def run(main: Callable[[], int | None], prog: str | None = None) -> NoReturn:
@@ -32,11 +26,8 @@ def run(main: Callable[[], int | None], prog: str | None = None) -> NoReturn:
 
     Exit status: what ``main`` returns, or 0; 2 for bad arguments or input, one line on stderr;
     130 on Ctrl-C, 143 on SIGTERM and 129 on SIGHUP, which do the same; 141, and not a word, when
-    who reads stdout has gone (``| head``). Warnings are one line on stderr too.
-
-    Args:
-        main: the command.
-        prog: its name, which a refusal begins with; None: that of the script.
+    who reads stdout has gone (``| head``). Warnings are one line on stderr too. A refusal begins
+    with ``prog``, None being the name of the script.
     """
     warnings.formatwarning = _one_line
     _escape_output()
@@ -73,8 +64,7 @@ def _tell(line: str) -> None:
 def _stops_as_ctrl_c() -> Iterator[list[int]]:
     """Let `STOPS` do what Ctrl-C does at that time; one that is ignored (``nohup``) stays so.
 
-    Yields:
-        The numbers of those that came.
+    The numbers of those that came are yielded.
     """
     came: list[int] = []
     until = -1.0

@@ -7,8 +7,6 @@ on where it was, and a longer one computes only what is new or changed. Writes D
 tables.md, the figures and a page, index.html.
 """
 
-from __future__ import annotations
-
 import argparse
 from functools import partial
 from pathlib import Path
@@ -31,13 +29,11 @@ def add_arguments(parser: Parser) -> None:
     add = parser.add_argument
     runs = "runs of one training with different seeds, as many as --seeds, or one"
     add("--selector", metavar="NAME=RUN,RUN...", help=runs, **MANY)
-    add(
-        "--rival",
-        metavar="NAME",
-        help="selectors that the others must beat, besides fixed subsets and rules "
-        "(default: those whose names begin with 'imitation')",
-        **{**MANY, "default": None},
+    beaten = (
+        "selectors that the others must beat, besides fixed subsets and rules (default: those"
+        " whose names begin with 'imitation')"
     )
+    add("--rival", metavar="NAME", help=beaten, **{**MANY, "default": None})
     add("--seeds", type=int, default=study.SEED_COUNT, metavar="N", help="(default: %(default)s)")
     add("--first-seed", type=int, default=0, metavar="S", help="the first of them (default: 0)")
     kinds = study.CONDITIONS
@@ -73,7 +69,6 @@ def main(args: argparse.Namespace) -> None:
 
 
 def _lineup(args: argparse.Namespace) -> Lineup:
-    """The policies of the command line."""
     selectors = {
         name: tuple(f"ppo:{run}" for run in runs.split(","))
         for name, runs in pairs(args.selector, "--selector").items()
@@ -108,7 +103,6 @@ def _seeds(args: argparse.Namespace) -> range:
 
 
 def _count(plan: study.Plan, out: Path) -> None:
-    """Print how many cells there are, and how many are finished."""
     counts = study.count_finished(plan, out)
     width = max(map(len, counts))
     for name, (have, cells) in counts.items():

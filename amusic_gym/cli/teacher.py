@@ -1,7 +1,5 @@
 """The teacher of an imitation: for every part of the range of λ, the cascade that pays most."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -23,14 +21,9 @@ from amusic_gym.utils.reading import read_json
 from amusic_gym.utils.storage import write_whole
 
 FILE = "teacher.json"
-PARTS = 12
-"""Into how many the range of λ is cut."""
-
-ROUTES = 32
-"""Simulated training routes on which the cascades are measured."""
-
-EVERYTHING = 99
-"""Always running so many of the cheapest techniques is running all."""
+PARTS = 12  # into how many the range of λ is cut
+ROUTES = 32  # simulated training routes on which the cascades are measured
+EVERYTHING = 99  # always running so many of the cheapest techniques is running all
 
 
 class Parameters(NamedTuple):

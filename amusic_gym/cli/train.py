@@ -5,19 +5,15 @@ rollouts (tries subsets of techniques from many states and learns what each lead
 (PPO on when to select again).
 """
 
-from __future__ import annotations
-
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+
+from amusic_agents.config import TrainingConfig
 
 from amusic_gym.cli.parser import Parser, destination
 from amusic_gym.cli.settings import FREE, add_settings, given_settings, refuse_others, settings_of
-
-if TYPE_CHECKING:
-    from amusic_agents.config import TrainingConfig
 
 
 def add_arguments(parser: Parser) -> None:
@@ -25,26 +21,25 @@ def add_arguments(parser: Parser) -> None:
     add = parser.add_argument
     add("--out", type=destination, required=True, help="run folder")
     add("--bank", action="append", default=[], help="train on this bank (repeat)")
-    add(
-        "--resume",
-        action="store_true",
-        help="go on from the last checkpoint; what is not given stays as it was",
-    )
+    resume = "go on from the last checkpoint; what is not given stays as it was"
+    add("--resume", action="store_true", help=resume)
     add_settings(parser)
 
 
 def main(args: argparse.Namespace) -> None:
     """Train, say where the selector is."""
-    learn(args.out, _config(args), args.bank, args.resume)
+    learn(args.out, _config(args), args.resume, banks=args.bank)
     print(f"The best selector is in {args.out}; compare it with --policy ppo:{args.out}")
 
 
 def learn(
     out: Path,
     config: TrainingConfig,
-    banks: Sequence[str] = (),
     resume: bool = False,
-    **options: Any,
+    evaluated: Callable[..., object] | None = None,
+    *,
+    banks: Sequence[str] = (),
+    progress: bool = True,
 ) -> None:
     """Train with the configuration's algorithm, after choosing a teacher where it needs one."""
     from amusic_agents.training import IMITATION, refuse_used, train
@@ -56,9 +51,16 @@ def learn(
         if not resume:  # choosing the teacher takes a while
             refuse_used(out)
         folder = out if config.algorithm == "imitation" else out / IMITATION
-        shown = options.get("progress", True)
-        teacher = make_teacher(folder, config, resume=resume, progress=shown)
-    train(out, config, banks=banks, teacher=teacher, resume=resume, **options)
+        teacher = make_teacher(folder, config, resume=resume, progress=progress)
+    train(
+        out,
+        config,
+        banks=banks,
+        teacher=teacher,
+        evaluated=evaluated,
+        resume=resume,
+        progress=progress,
+    )
 
 
 def _config(args: argparse.Namespace) -> TrainingConfig:

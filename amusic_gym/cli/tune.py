@@ -9,17 +9,19 @@ learning_rate=1e-4:1e-2:log or network.hidden=32,64,128.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from amusic_agents.config import TrainingConfig, leaves
 
 from amusic_gym.cli.options import MANY
 from amusic_gym.cli.parser import Parser, destination, pairs
 from amusic_gym.cli.settings import add_settings, given_settings, refuse_unused, settings_of
+from amusic_gym.cli.train import learn
+from amusic_gym.utils.names import suggest
 
 if TYPE_CHECKING:
-    from amusic_agents.config import TrainingConfig
     from amusic_agents.trials import Learn
     from amusic_agents.tuning import Space
 
@@ -32,26 +34,16 @@ def add_arguments(parser: Parser) -> None:
     about = "what is searched (default: by the algorithm, amusic_agents.tuning.SPACES)"
     add("--space", **MANY, metavar="NAME=VALUES", help=about)
     add("--bank", action="append", default=[], help="train on this bank (repeat)")
-    add(
-        "--seeds",
-        type=int,
-        metavar="N",
-        help="trainings of a trial, from --seed on; with several the mean of their scores counts,"
-        " and none is pruned (default: 1)",
+    several = (
+        "trainings of a trial, from --seed on; with several the mean of their scores counts, and"
+        " none is pruned (default: 1)"
     )
-    add(
-        "--at-once",
-        type=int,
-        default=1,
-        metavar="N",
-        help="trials that are drawn together and may be trained side by side (default: 1)",
-    )
+    add("--seeds", type=int, metavar="N", help=several)
+    together = "trials that are drawn together and may be trained side by side (default: 1)"
+    add("--at-once", type=int, default=1, metavar="N", help=together)
     parser.add_shared("--executor")
-    add(
-        "--resume",
-        action="store_true",
-        help="go on with the folder's study, its settings, space and banks",
-    )
+    resume = "go on with the folder's study, its settings, space and banks"
+    add("--resume", action="store_true", help=resume)
     add_settings(parser)
 
 
@@ -85,28 +77,12 @@ def main(args: argparse.Namespace) -> None:
 
 def learner(banks: Sequence[str], progress: bool) -> Learn:
     """What trains on these banks, with a teacher where the algorithm needs one."""
-    return partial(_learn, tuple(banks), progress)
-
-
-def _learn(
-    banks: Sequence[str],
-    progress: bool,
-    out: Path,
-    config: TrainingConfig,
-    resume: bool,
-    evaluated: Callable[..., Any],
-) -> None:
-    from amusic_gym.cli.train import learn
-
-    learn(out, config, banks, resume, evaluated=evaluated, progress=progress)
+    return partial(learn, banks=tuple(banks), progress=progress)
 
 
 def as_space(items: Sequence[str], config: TrainingConfig) -> Space:
     """``["entropy=1e-4:0.1:log", "epochs=2,4"]`` as what is searched."""
-    from amusic_agents.config import leaves
     from amusic_agents.tuning import Range
-
-    from amusic_gym.utils.names import suggest
 
     known = leaves(config)
     space: dict[str, Range | tuple[Any, ...]] = {}

@@ -144,17 +144,50 @@ def observe_route(route: RouteState, out: NDArray[np.float32]) -> None:
     out[20] = sigmoid(route.on_map)
 
 
+def weight_entry(weight: Any) -> Any:
+    """λ as the observation has it, on a logarithmic scale."""
+    place = (np.log10(np.maximum(weight, TINY)) - _LOG_LOW) / _LOG_SPAN
+    return np.clip(2.0 * place - 1.0, -1.0, 1.0)
+
+
+def price_entry(weight: Any, share: Any) -> Any:
+    """λ times a technique's share of the costs as the observation has it."""
+    price = np.log10(np.maximum(weight * share, TINY))
+    return np.clip(0.5 * price + 0.5, -1.0, 1.0)
+
+
 def declare_costs(route: NDArray[Any], slots: NDArray[Any]) -> None:
     """Write the entries that hold for an episode to its route (1,) and slots (S,)."""
     present = slots["present"] > 0
     share = slots["seconds"][present] / route["total_seconds"]
     slots["cost_share"][present] = share
     slots["cost_log"][present] = np.maximum(1.0 + np.log10(share) / 4.0, -1.0)
-    price = np.log10(np.maximum(route["compute_weight"] * share, TINY))
-    slots["price"][present] = np.clip(0.5 * price + 0.5, -1.0, 1.0)
+    slots["price"][present] = price_entry(route["compute_weight"], share)
     route["size_log"] = np.clip(np.log10(route["references"]) / 3.0 - 1.0, -1.0, 1.0)
-    weight = (np.log10(np.maximum(route["compute_weight"], TINY)) - _LOG_LOW) / _LOG_SPAN
-    route["weight_log"] = np.clip(2.0 * weight - 1.0, -1.0, 1.0)
+    route["weight_log"] = weight_entry(route["compute_weight"])
+
+
+def limit_compute_weight(
+    observation: NDArray[np.float32], low: float, high: float
+) -> NDArray[np.float32]:
+    """Observations (N, D) of λ below or above a range, as they are at its nearest end."""
+    width, place = len(ROUTE_FEATURES), ROUTE_FEATURES.index("compute_weight")
+    entry = observation[:, -width + place]
+    nearest = np.where(entry < np.float32(weight_entry(low)), low, np.nan)
+    nearest = np.where(entry > np.float32(weight_entry(high)), high, nearest)
+    outside = ~np.isnan(nearest)
+    if not outside.any():
+        return observation
+    limited = observation.copy()
+    limited[outside, -width + place] = weight_entry(nearest[outside])
+    groups = limited[:, :-width].reshape(len(limited), -1, WIDTH)  # a copy
+    present = (groups[:, :, TECHNIQUE_FEATURES.index("present")] > 0) & outside[:, None]
+    share = groups[:, :, TECHNIQUE_FEATURES.index("cost_share")]
+    prices = price_entry(nearest[:, None], share.astype(np.float64))
+    price = TECHNIQUE_FEATURES.index("price")
+    groups[:, :, price] = np.where(present, prices, groups[:, :, price])
+    limited[:, :-width] = groups.reshape(len(limited), -1)
+    return limited
 
 
 def observation_names(techniques: tuple[str, ...]) -> list[str]:

@@ -169,7 +169,7 @@ class SimulatedRoutes:
     @property
     def slots(self) -> int:
         """Largest number of techniques that a route may have."""
-        return self.simulation.most_techniques
+        return self.simulation.techniques[1]
 
     def sample(self, rng: np.random.Generator, index: int | None) -> tuple[ScoreBank, int]:
         """Draw a route, or take the one of number ``index``.

@@ -4,8 +4,6 @@ A selector that is rewarded with p̂ may learn to raise p̂ instead of being rig
 against ground truth for every policy that gives one, and where the two part it is said loudly.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -15,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from amusic_gym.evaluation import metrics
 from amusic_gym.policies.trace import Trace
 
-PARTING = 0.1
-"""p̂ and the truth part where mean p̂ and accuracy differ by more than this."""
+PARTING = 0.1  # p̂ and the truth part where mean p̂ and accuracy differ by more than this
 
 
 class Audit(NamedTuple):
@@ -77,10 +74,8 @@ def parting(
 ) -> str | None:
     """The line that says loudly where p̂ and the truth part; None where they do not.
 
-    Args:
-        who: whose p̂ it is, and where: "cascade on corridor".
-        audits: with what tells each from the others, "λ 0.1", or "".
-        above_only: whether p̂ below the accuracy is left out.
+    ``who`` is as in "cascade on corridor", what comes with an audit as in "λ 0.1", or "". With
+    ``above_only`` p̂ below the accuracy is left out.
     """
     given = list(audits)
     apart = [

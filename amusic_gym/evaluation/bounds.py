@@ -5,8 +5,6 @@ ground truth: the *single best* is the subset that is best on average over all r
 best* takes on each route the one that is best there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -53,18 +51,9 @@ def virtual_best(
 ) -> dict[str, Any]:
     """The mean over routes of the fixed subset that is best on each.
 
-    Args:
-        rows: of any policies; those of fixed subsets count.
-        by: the column to be best in, one of `QUALITIES`.
-        most_compute: subsets whose compute on a route is higher are out there.
-
-    Returns:
-        A row like those of `amusic_gym.evaluation.metrics.mean_rows`, ``policy`` being "virtual
-        best" and ``chosen`` the subset's name by bank. Of equally good ones the cheaper.
-
-    Raises:
-        ValueError: if no fixed subset was run on some route within that compute, the rows are of
-            several statistics or cost models, or one subset has two rows on a route.
+    Arguments and errors are those of `single_best`, but that subsets are out where their compute on
+    a route is higher. So is the row that is returned, ``policy`` being "virtual best" and
+    ``chosen`` the subset's name by bank.
     """
     fixed = _fixed(rows)
     chosen = {}

@@ -4,8 +4,7 @@ Every finished row is kept at once, so that a comparison which was stopped or ki
 it was.
 """
 
-from __future__ import annotations
-
+import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,21 +17,22 @@ import numpy as np
 from amusic_gym import __version__
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.bank_files import refuse_within_bank
+from amusic_gym.banks.ranking import ranked
 from amusic_gym.estimation.settings import SICSettings, statistic_label
 from amusic_gym.evaluation import metrics, rollout, store
 from amusic_gym.evaluation.audit import Audit, audit, parting
-from amusic_gym.evaluation.columns import COLUMNS, OTHERS, legend
 from amusic_gym.evaluation.contestants import Contestant
-from amusic_gym.evaluation.lists import write_lists
-from amusic_gym.evaluation.tables import Table, footnote, marked
+from amusic_gym.evaluation.tables import COLUMNS, OTHERS, Table, footnote, legend, marked
 from amusic_gym.policies.protocol import Context, Correction
 from amusic_gym.policies.trace import DONE, Trace
 from amusic_gym.routes.bank_images import BankImages
 from amusic_gym.utils.checks import whole
+from amusic_gym.utils.escaping import CsvWriter
 from amusic_gym.utils.names import distinct, file_stem
 from amusic_gym.utils.storage import keep_only, write_whole
 
 ROWS, TRACES, LISTS, RESULTS = "rows", "traces", "lists", "results.json"
+LIST_COLUMNS = ("query", "rank", "place", "correct")
 
 Report = Callable[[str], None]
 
@@ -41,21 +41,15 @@ _Item = TypeVar("_Item")
 
 @dataclass(frozen=True)
 class Comparison:
-    """What came out: one trace and one row for each policy, λ and bank.
+    """What came out: one trace and one row for each policy, λ and bank."""
 
-    Attributes:
-        traces: in the order of the banks, then of the policies.
-        rows: of ``results.json``, in the same order.
-        mean: the rows averaged over banks, of those (policy, λ, statistic, carry) that every
-            bank has.
-        needs_truth: name of a policy → of what it needs ground truth.
-        images: name of a bank → its images, if it has a list of them.
-    """
-
-    traces: list[Trace]
-    rows: list[dict[str, Any]]
+    traces: list[Trace]  # in the order of the banks, then of the policies
+    rows: list[dict[str, Any]]  # of ``results.json``, in the same order
+    # the rows averaged over banks, of those (policy, λ, statistic, carry) that every bank has
     mean: list[dict[str, Any]]
+    # name of a policy → of what it needs ground truth
     needs_truth: dict[str, str] = field(default_factory=dict)
+    # name of a bank → its images, if it has a list of them
     images: dict[str, BankImages | None] = field(default_factory=dict)
 
 
@@ -138,7 +132,7 @@ def compare(
         row = metrics.summarise(trace)
         trace.write_csv(file, images[trace.bank])
         for path in lists[number - 1 : number]:
-            write_lists(path, entry.context.bank, trace, count)
+            write_whole(path, ranked_lists(entry.context.bank, trace, count))
         traces.append(trace)
         rows.append(row)
         report(f"[{number}/{len(entries)}] {_line(row)}{' (was finished)' if kept else ''}")
@@ -153,11 +147,7 @@ def compare(
 
 
 def check_banks(banks: Sequence[ScoreBank]) -> None:
-    """Refuse banks that cannot be compared on.
-
-    Raises:
-        ValueError: for no bank, or banks with different cost models.
-    """
+    """Refuse no bank at all, and banks with different cost models, with a ValueError."""
     if not banks:
         raise ValueError("no score bank to compare on; give at least one")
     costs = list(dict.fromkeys(bank.costs for bank in banks))
@@ -240,6 +230,21 @@ def _renamed(bank: ScoreBank, name: str) -> ScoreBank:
     return view
 
 
+def ranked_lists(bank: ScoreBank, trace: Trace, count: int) -> bytes:
+    """CSV of a line per query and rank, 1 to ``count`` at most, with the columns `LIST_COLUMNS`.
+
+    What is ranked is said in `amusic_gym.banks.ranking`.
+    """
+    text = io.StringIO()
+    writer = CsvWriter(text)
+    writer.writerow(LIST_COLUMNS)
+    for frame, prediction in enumerate(trace.predictions.tolist()):
+        for rank, place in enumerate(ranked(bank, frame, trace.ran[frame], prediction, count), 1):
+            right = bank.truth.is_true(int(place), frame)
+            writer.writerow([frame, rank, int(place), int(right)])
+    return text.getvalue().encode()
+
+
 def trace_stems(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Names of the traces' files, without their ends, of all rows of ``results.json``."""
     weights = (row["compute_weight"] for row in rows)
@@ -256,17 +261,13 @@ def spread(items: Sequence[_Item], count: int) -> list[_Item]:
     return [items[round(i * (len(items) - 1) / steps)] for i in range(count)]
 
 
-# ---- table ---------------------------------------------------------------------------------
-
-
 SHOWN = (
     *("accuracy", "auc", "auc_vprbench", "auc_paper", *metrics.RECALLS),
     *("recall_at_100_precision", "ptr", "compute", "reselections", "lost"),
 )
 """Columns of ``results.json`` in a terminal."""
 
-LINE = 100
-"""Letters of a line of text below a table."""
+LINE = 100  # letters of a line of text below a table
 
 
 def table(comparison: Comparison) -> str:

@@ -1,7 +1,5 @@
 """The policies of a comparison, by their names."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import sys
@@ -19,27 +17,20 @@ from amusic_gym.policies.registry import parse
 COMPUTE_WEIGHTS = (0.01, 0.05, 0.15, 0.3, 0.6, 1.0, 2.0, 6.0)
 """The compute weights λ that a policy which reads λ is run with where none are named."""
 
-MOST_TECHNIQUES = 6
-"""Up to so many techniques all their subsets can be compared: 63 of them."""
+MOST_TECHNIQUES = 6  # up to so many techniques all their subsets can be compared: 63 of them
 
 
 @dataclass(frozen=True)
 class Contestant:
-    """A policy in a comparison.
+    """A policy in a comparison."""
 
-    Attributes:
-        name: of the policy in tables and files.
-        make: builds it, afresh for every row.
-        compute_weights: the λ that it is run with, one row each; None: it has no such thing.
-        version: what its behaviour depends on besides its name: a digest of its weights or code.
-        needs_truth: of what it needs ground truth, if it does; tables say so.
-    """
-
-    name: str
-    make: Callable[[Context], Policy]
+    name: str  # of the policy in tables and files
+    make: Callable[[Context], Policy]  # builds it, afresh for every row
+    # the λ that it is run with, one row each; None: it has no such thing
     compute_weights: tuple[float | None, ...] = (None,)
+    # what its behaviour depends on besides its name: a digest of its weights or code
     version: str = ""
-    needs_truth: str = ""
+    needs_truth: str = ""  # of what it needs ground truth, if it does; tables say so
 
 
 def contestants(
@@ -102,11 +93,7 @@ def _code_of(build: Callable[..., Any]) -> str:
 
 
 def all_subsets(techniques: Sequence[str]) -> list[str]:
-    """The policies of every subset of the techniques: ``single:A``, ``subset:A+B``, ``music``.
-
-    Raises:
-        ValueError: for more than `MOST_TECHNIQUES`.
-    """
+    """Every subset as ``single:A``, ``subset:A+B`` or ``music``; a ValueError for too many."""
     if len(techniques) > MOST_TECHNIQUES:
         raise ValueError(
             f"{len(techniques)} techniques have {2 ** len(techniques) - 1} subsets, too many to "

@@ -1,7 +1,5 @@
 """How far SIC-estimated correctness p̂ can be believed, against ground truth."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,14 +13,11 @@ MEASURES = ("frames", "accuracy", "auroc", "brier", "brier_of_accuracy", "calibr
 
 
 def assess(traces: Sequence[Trace]) -> dict[str, Any]:
-    """Quality of p̂ over traces of single techniques, pooled and within each.
+    """Quality of p̂ over traces, one per technique and bank, pooled and within each.
 
     ``brier_of_accuracy`` is the Brier score of saying each trace's own mean accuracy on all its
     frames, which an estimate must beat. ``within`` is the mean of the traces' AUROC, of those that
     have right and wrong frames. AUROC is None where there is none.
-
-    Args:
-        traces: one per technique and bank, with p̂ on every frame.
 
     Returns:
         ``{"pooled": measures, "within": {...}, "techniques": [{"bank", "technique", measures}]}``,

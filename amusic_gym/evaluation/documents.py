@@ -3,8 +3,6 @@
 The first comment holds a digest of the text, so that a number typed by hand is found (`altered`).
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Mapping
@@ -16,11 +14,9 @@ BLOCK = re.compile(
 
 
 def filled(document: str, blocks: Mapping[str, str]) -> str:
-    """The document with new text in some of its blocks.
+    """The Markdown document with new text, by name, in some of its blocks.
 
-    Args:
-        document: Markdown; blocks stand between ``<!-- made by: NAME -->`` and ``<!-- end -->``.
-        blocks: name → text.
+    These stand between ``<!-- made by: NAME -->`` and ``<!-- end -->``.
 
     Raises:
         ValueError: for a block that the document does not have exactly once.

@@ -1,7 +1,5 @@
 """Contact sheets of the failures of a comparison, from the traces in its folder."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
@@ -14,9 +12,7 @@ from amusic_gym.utils.names import suggest
 from amusic_gym.utils.reading import read_json
 from amusic_gym.utils.storage import keep_only, write_whole
 
-MOST = 40
-"""Failures on a sheet."""
-
+MOST = 40  # failures on a sheet
 ACROSS = 4  # failures side by side
 WIDTH, HEIGHT, MARGIN = 160, 120, 8  # pixels of a picture, and between failures
 ABOVE, BELOW = 34, 38  # pixels for the sheet's title, and for the words of a failure
@@ -32,14 +28,9 @@ def contact_sheets(
 ) -> list[Path]:
     """A PNG for each bank, policy and λ with failures: query, matched place and true place of each.
 
-    A failure is a wrong frame that has a true place. Of more than ``most``, an even spread.
-
-    Args:
-        folder: of the comparison.
-        out: the folder for the sheets; those of an earlier call that are not written again go.
-        policies: as ``results.json`` names them; none: all.
-        most: failures on a sheet, at least 1.
-        report: is given a line per trace.
+    A failure is a wrong frame that has a true place. Of more than ``most``, an even spread. Without
+    ``policies``, named as in ``results.json``, all are taken. Sheets of an earlier call in ``out``
+    that are not written again go. ``report`` is given a line per trace.
 
     Raises:
         FileNotFoundError: where there is no comparison, or an image is not there any more.

@@ -1,7 +1,5 @@
 """The figures of a comparison, as PNG files, and its page."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,11 +17,8 @@ from amusic_gym.utils.storage import keep_only
 MOST_CURVES = 16  # in a figure; of more the subsets are left out, then the last
 MOST_SHADES = 3  # λ of one policy in a figure of curves
 MOST_PANELS = 8  # traces in a figure of selections
-NEAR = 0.02
-"""Difference of AUC that a headline passes over."""
-
-DRAWN = ("front", "selections")
-"""Figures that the page's script draws itself."""
+NEAR = 0.02  # difference of AUC that a headline passes over
+DRAWN = ("front", "selections")  # figures that the page's script draws itself
 
 
 def draw(comparison: Comparison, folder: str | Path) -> list[ReportFigure]:
@@ -118,7 +113,6 @@ def _named(row: Mapping[str, Any]) -> str:
 
 
 def _has_front(rows: Sequence[dict[str, Any]]) -> bool:
-    """Whether any row has a place in the front."""
     return any(parse(row["policy"]).policy.charted for row in rows)
 
 

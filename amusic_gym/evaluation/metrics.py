@@ -4,25 +4,21 @@ Accuracy, precision-recall, AUC and PTR (proportion of technique runs) follow A-
 it leaves the AUC open two common readings are given, and the one that gives its figures.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-if TYPE_CHECKING:
-    from amusic_gym.policies.trace import Trace
+from amusic_gym.policies.trace import Trace
 
 LOST_FRAMES = 5  # a run of at least so many wrong frames in a row counts as being lost
 CALIBRATION_BINS = 15
 MEAN_KEY = ("policy", "compute_weight", "statistic", "carry", "costs")
 """Rows that are alike in these are averaged."""
 
-RECALLS = {f"recall_at_{n}": n for n in (1, 5, 10, 20)}
-"""Column -> N of Recall@N."""
+RECALLS = {f"recall_at_{n}": n for n in (1, 5, 10, 20)}  # column -> N of Recall@N
 
 AVERAGED = (
     "accuracy",
@@ -92,7 +88,7 @@ def auc(trace: Trace) -> float:
     Without one correct match it is 0, with a warning: a curve through no true positive has no area.
     """
     _warn_if_nothing_is_right(trace)
-    return _auc(trace)
+    return area(*curve(trace))
 
 
 def auc_vprbench(trace: Trace) -> float:
@@ -132,7 +128,7 @@ def summarise(trace: Trace) -> dict[str, Any]:
         "costs": trace.costs,
         "queries": trace.queries,
         "accuracy": float(trace.correct.mean()),
-        "auc": _auc(trace),
+        "auc": area(*curve(trace)),
         "auc_vprbench": _ranking(trace.correct, trace.confidence),
         "auc_paper": _ranking(trace.correct, trace.similarity),
         "ptr": ptr(trace),
@@ -257,10 +253,6 @@ def calibration_error(correct: ArrayLike, p: ArrayLike, bins: int = CALIBRATION_
     held = table.counts > 0
     gaps = np.abs(table.predicted - table.observed)[held]
     return float(gaps @ table.counts[held] / table.counts.sum())
-
-
-def _auc(trace: Trace) -> float:
-    return area(*curve(trace))
 
 
 def _ranking(correct: NDArray[np.bool_], score: NDArray[np.float64]) -> float:

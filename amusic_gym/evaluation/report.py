@@ -5,8 +5,6 @@ loads nothing but what is in the folder beside it (`amusic_gym.evaluation.report
 on a phone and on paper, light and dark, with a keyboard and with a screen reader.
 """
 
-from __future__ import annotations
-
 import base64
 import os
 from collections.abc import Mapping, Sequence
@@ -15,17 +13,15 @@ from pathlib import Path
 from typing import Any
 
 from amusic_gym.estimation.settings import statistic_label
-from amusic_gym.evaluation.columns import COLUMNS
 from amusic_gym.evaluation.plots.labels import row_label
 from amusic_gym.evaluation.report_drives import Beside, page_data
-from amusic_gym.evaluation.tables import Table
+from amusic_gym.evaluation.tables import COLUMNS, Table
 from amusic_gym.policies.registry import MARK
 from amusic_gym.policies.trace import Trace
 from amusic_gym.routes.bank_images import BankImages
 from amusic_gym.utils.storage import write_whole
 
-GENERATOR = b'<meta name="generator" content="amusic-gym">'
-"""By which a page of ours is known."""
+GENERATOR = b'<meta name="generator" content="amusic-gym">'  # by which a page of ours is known
 
 PICTURES = {b"\x89PNG\r\n": "png", b"\xff\xd8\xff": "jpeg"}
 """First bytes of a figure's file -> its type."""
@@ -52,11 +48,7 @@ class ReportFigure:
 
 
 def refuse_other_page(path: Path) -> None:
-    """Refuse the name of a file that is no page of ours, which would be lost.
-
-    Raises:
-        ValueError: for such a file.
-    """
+    """Refuse with a ValueError the name of a file that is no page of ours, which would be lost."""
     if path.is_file():
         with path.open("rb") as file:
             if GENERATOR not in file.read(4096):
@@ -132,7 +124,6 @@ def write_report(
 
 
 def _bank(name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """What a table shows."""
     own = [row for row in rows if row["bank"] == name]
     return {
         "name": "Mean over banks" if name == "mean" else name or "unnamed bank",

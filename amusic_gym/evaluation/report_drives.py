@@ -4,8 +4,6 @@ One drive and its pictures are in the page; the others lie beside it, as scripts
 page that is opened from a folder may load these, but no other data.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Mapping, Sequence
@@ -23,24 +21,15 @@ from amusic_gym.routes.bank_images import BankImages, ListedImage
 from amusic_gym.utils.colours import technique_colours
 from amusic_gym.utils.storage import keep_only, write_whole
 
-LONGEST_SIDE = 160
-"""Pixels of a picture."""
-
-COLUMNS, PER_SHEET = 10, 50
-"""Pictures side by side on a sheet, and all on it."""
-
-ROOM = 5_000_000
-"""Characters of pictures and figures in the page; more lie beside it."""
+LONGEST_SIDE = 160  # pixels of a picture
+COLUMNS, PER_SHEET = 10, 50  # pictures side by side on a sheet, and all on it
+ROOM = 5_000_000  # characters of pictures and figures in the page; more lie beside it
 
 Row = Mapping[str, Any]
 
 
 class Beside:
-    """The files beside a page, in a folder of its name.
-
-    Args:
-        page: the page.
-    """
+    """The files beside a page, in a folder of its name."""
 
     def __init__(self, page: Path) -> None:
         self.page = page
@@ -71,14 +60,9 @@ def page_data(
     highlights: Sequence[tuple[str, Trace]],
     beside: Beside,
 ) -> str:
-    """What the page's script reads, as JSON that HTML can hold.
+    """What the page's script reads, as JSON that HTML can hold; `write_report` has the arguments.
 
-    Args:
-        rows: of the front, as `write_report` takes them.
-        traces: the drives; the first of ``highlights``, or of all, is shown.
-        images: name of a bank → its images.
-        highlights: what the page says of a drive, and the drive.
-        beside: takes what is not in the page itself.
+    The first drive of ``highlights``, or of all, is shown; the others go ``beside`` the page.
     """
     shown = highlights[0][1] if highlights else None
     order = sorted(traces, key=lambda trace: trace is not shown)
@@ -131,11 +115,9 @@ def drive_data(trace: Trace) -> dict[str, Any]:
     }
 
 
-def _bits(flags: NDArray[np.bool_]) -> list[int]:
-    """(Q, T) flags as one number per frame, the first technique its lowest bit."""
-    weights = 2 ** np.arange(flags.shape[1], dtype=np.int64)
-    bits: list[int] = (flags @ weights).tolist()
-    return bits
+def _bits(flags: NDArray[np.bool_]) -> Any:
+    """(Q, T) flags as a list of one number per frame, the first technique its lowest bit."""
+    return (flags @ (2 ** np.arange(flags.shape[1], dtype=np.int64))).tolist()
 
 
 def _bank(trace: Trace, sheets: Mapping[tuple[str, str], Any]) -> dict[str, Any]:
@@ -150,9 +132,6 @@ def _bank(trace: Trace, sheets: Mapping[tuple[str, str], Any]) -> dict[str, Any]
         "query": sheets.get((trace.bank, "query")),
         "reference": sheets.get((trace.bank, "reference")),
     }
-
-
-# ---- points of the front ---------------------------------------------------------------------
 
 
 def _scopes(rows: Sequence[Row]) -> list[dict[str, Any]]:
@@ -195,9 +174,6 @@ def _policies(rows: Sequence[Row], techniques: Sequence[str]) -> dict[str, list[
 
 def _family(policy: str) -> Family:
     return FAMILIES[parse(policy).policy.family]
-
-
-# ---- pictures --------------------------------------------------------------------------------
 
 
 def _sheets(

@@ -1,8 +1,6 @@
 """Runs policies on banks and live routes and records traces."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -84,7 +82,6 @@ def rollouts(
 
 
 def _one(policy: Policy, job: Job, name: str, how: Correction) -> Trace:
-    """Run a policy on one route."""
     if isinstance(job.bank, LiveRoute):
         return _navigate(policy, job.bank, job.compute_weight, name, how)
     if isinstance(policy, Selector):
@@ -172,10 +169,13 @@ def _select(
     options = {"bank": np.arange(len(jobs)), "start": 0, "compute_weight": weights}
     observation, info = env.reset(options=options)
     policy.reset(np.ones(len(jobs), np.bool_))
-    frames: list[dict[str, Any]] = []
+    frames: list[dict[str, Any]] = []  # (N, ...) by argument of `Trace.join`
     for _ in range(max(job.bank.queries or 0 for job in jobs)):
         observation, _, _, _, info = env.step(policy.act(observation, info))
-        frames.append(_done(info))
+        done = {name: info[key] for name, key in INFOS.items()}
+        if selection := info.get("selection"):
+            done |= {"late_runs": selection["late_runs"], "selections": selection["happened"]}
+        frames.append(done)
     columns = {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
     traces = []
     for i, job in enumerate(jobs):
@@ -193,11 +193,3 @@ def _select(
             )
         )
     return traces
-
-
-def _done(info: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """What was done on one frame of every route (N, ...), by argument of `Trace.join`."""
-    done = {name: info[key] for name, key in INFOS.items()}
-    if selection := info.get("selection"):
-        done |= {"late_runs": selection["late_runs"], "selections": selection["happened"]}
-    return done

@@ -1,7 +1,5 @@
 """Finished results on disk: a JSON file each, named by a digest of all that may change it."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping
@@ -25,12 +23,8 @@ FORMAT_VERSION = 4
 def sources(entry: Path, *packages: Path) -> tuple[Path, ...]:
     """A source file, those that it depends on by its imports, and the JSON data beside them.
 
-    The estimators, which are imported by name, are among them.
-
-    Args:
-        entry: the file.
-        packages: folders of the packages whose files count, in the order of their dependence; the
-            last is this one, or a copy.
+    The estimators, which are imported by name, are among them. ``packages`` are folders of the
+    packages whose files count, in the order of their dependence; the last is this one, or a copy.
     """
     modules = {where.partition(":")[0] for where in ESTIMATORS.values()}
     root = packages[-1].parent

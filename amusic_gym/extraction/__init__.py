@@ -1,7 +1,5 @@
 """Extraction: image folders and techniques to a score bank, or to a map for live navigation."""
 
-from __future__ import annotations
-
 from amusic_gym.extraction.blocks import BLOCK
 from amusic_gym.extraction.cache import Cache, default_cache
 from amusic_gym.extraction.extract import extract

@@ -23,9 +23,7 @@ from amusic_gym.techniques.own_code import guarded
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
 from amusic_gym.utils.threads import alone
 
-BLOCK = 64
-"""References (and queries) per block."""
-
+BLOCK = 64  # references (and queries) per block
 _ALIGNMENT = 64  # bytes: a cache line, and the widest registers
 
 
@@ -98,6 +96,11 @@ class Stored:
         return mapped.view(np.ndarray)
 
 
+def array_of(values: Stored | NDArray[np.float32]) -> NDArray[np.float32]:
+    """The array itself."""
+    return values.array() if isinstance(values, Stored) else values
+
+
 def aligned(array: NDArray[np.float32]) -> NDArray[np.float32]:
     """``array`` in C order, beginning at a multiple of 64 bytes; a copy only where it is not."""
     if array.flags.c_contiguous and array.ctypes.data % _ALIGNMENT == 0:
@@ -144,12 +147,9 @@ def _descriptor(technique: Technique, given: Any) -> Descriptor:
 
 
 def match_one(technique: Technique, query: Descriptor, block: Descriptor) -> NDArray[np.float32]:
-    """Scores (B,) float32 of one query against one block of the map, on one thread.
+    """Scores (B,) float32 of one query against one block (B, ...) of the map, on one thread.
 
-    Args:
-        technique: the technique.
-        query: what :func:`describe_one` gave for the query.
-        block: (B, ...) descriptors of up to ``BLOCK`` references, :func:`aligned`.
+    The block is :func:`aligned`.
 
     Raises:
         ValueError: when the technique gives something else than B finite real numbers, or raises

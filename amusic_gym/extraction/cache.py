@@ -5,8 +5,6 @@ key and of the ``.npy`` file, so an entry that is cut off, changed or under a wr
 It is compared the first time that a run uses the entry.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import os
@@ -30,11 +28,7 @@ _ATTEMPTS = 3
 
 
 def default_cache() -> Path:
-    """``$XDG_CACHE_HOME/amusic-gym``, or ``~/.cache/amusic-gym``.
-
-    Raises:
-        ValueError: where this user has no home folder.
-    """
+    """``$XDG_CACHE_HOME/amusic-gym``, or ``~/.cache/amusic-gym``; refuses a user without a home."""
     given = os.environ.get("XDG_CACHE_HOME", "")
     try:
         base = Path(given) if os.path.isabs(given) else Path.home() / ".cache"

@@ -1,7 +1,5 @@
 """The key of a technique's results in the cache: class, parameters, code and libraries."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.metadata
 import inspect

@@ -1,7 +1,5 @@
 """The descriptors and scores of one technique, from the cache or computed."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,9 +22,7 @@ from amusic_gym.utils.names import few
 
 _SAMPLE = 5  # images of a traverse whose grey levels are counted
 _NAMED = 5  # refused images that are named before they are only counted
-
-FORMAT = 1
-"""Of the cache's entries: raised when the same key would have to mean something else."""
+FORMAT = 1  # of the cache's entries: raised when the same key would have to mean something else
 
 
 def images_of(folder: ImageFolder) -> Images:
@@ -61,11 +57,7 @@ def images_of(folder: ImageFolder) -> Images:
 
 @dataclass
 class ExtractionPlan:
-    """One technique on one route, in blocks, and the keys of its results in the cache.
-
-    Raises:
-        ValueError: when the technique's parameters are not plain values.
-    """
+    """One technique on one route, in blocks, and the keys of its results in the cache."""
 
     technique: Technique
     reference: Images

@@ -1,7 +1,5 @@
 """Executors by name: this process, others of this machine, or a Ray cluster."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any

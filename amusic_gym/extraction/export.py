@@ -1,7 +1,5 @@
 """Descriptors of techniques that run here, for others: hloc's file of features, and its pairs."""
 
-from __future__ import annotations
-
 import os
 from contextlib import ExitStack
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Two image folders and some techniques to a score bank."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 import time
@@ -190,11 +188,7 @@ def _check_writable(out: Path) -> None:
 
 
 def declared_seconds(seconds: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
-    """The seconds that a user gives for some techniques, by name.
-
-    Raises:
-        ValueError: for an unknown name, and for what is no number above 0.
-    """
+    """Seconds that a user gives for techniques, by name; refuses what is unknown or not above 0."""
     for name in seconds:
         if name not in names:
             raise ValueError("seconds: " + suggest("technique", name, names))

@@ -1,7 +1,5 @@
 """A described map's folder: ``map.json``, descriptors, thumbnails and positions."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,7 +12,7 @@ from numpy.typing import NDArray
 
 from amusic_gym.banks import bank_files
 from amusic_gym.banks.bank_files import checksum, parse_manifest, size_and_checksum, write_floats
-from amusic_gym.extraction.blocks import BLOCK, Stored
+from amusic_gym.extraction.blocks import BLOCK, Stored, array_of
 from amusic_gym.extraction.thumbnails import Thumbnails
 from amusic_gym.routes.positions import Positions
 from amusic_gym.techniques.protocol import Descriptor
@@ -68,11 +66,7 @@ class MapContents:
 
 
 def check_destination(path: Path) -> None:
-    """Refuse a path that :func:`write` would refuse, before long work is begun for it.
-
-    Raises:
-        ValueError: when it is something other than a map, which must not be replaced.
-    """
+    """Refuse a path that :func:`write` would refuse, before long work is begun for it."""
     path = Path(os.path.realpath(path))
     storage.refuse_to_replace_others(path, MANIFEST, FILES)
     bank_files.refuse_within_bank(path)
@@ -89,7 +83,7 @@ def write(path: Path, contents: MapContents) -> None:
     with storage.replacing_folder(Path(os.path.realpath(path)), MANIFEST, FILES) as folder:
         for number, blocks in enumerate(contents.descriptors):
             shape = (len(contents.names), *blocks[0].shape[1:])
-            write_floats(folder / _descriptors(number), map(_array, blocks), shape)
+            write_floats(folder / _descriptors(number), map(array_of, blocks), shape)
         np.save(folder / THUMBNAILS, contents.thumbnails.data)
         np.save(folder / ENDS, contents.thumbnails.ends)
         if contents.positions is not None:
@@ -167,10 +161,6 @@ def _blocks(path: Path, places: int) -> list[Stored]:
     ]
 
 
-def _array(block: Stored | Descriptor) -> Descriptor:
-    return block.array() if isinstance(block, Stored) else block
-
-
 def _columns(positions: Positions) -> NDArray[np.float64]:
     """(R, D), or (R, D + 1) with the headings last."""
     if positions.headings is None:
@@ -190,6 +180,6 @@ def _described(positions: Positions | None) -> dict[str, Any] | None:
 
 def joined(blocks: Iterable[Iterable[Stored | Descriptor]]) -> list[Descriptor]:
     """The blocks of several traverses as those of one, of ``BLOCK`` places each but the last."""
-    arrays = [_array(block) for traverse in blocks for block in traverse]
+    arrays = [array_of(block) for traverse in blocks for block in traverse]
     whole = np.concatenate(arrays)
     return [whole[first : first + BLOCK] for first in range(0, len(whole), BLOCK)]

@@ -49,11 +49,7 @@ class Processes(Executor):
 
 
 def dumped(held: Held) -> bytes:
-    """What workers hold, as they get it.
-
-    Raises:
-        ValueError: when it does not pickle.
-    """
+    """What workers hold, as they get it; refuses what does not pickle."""
     try:
         return pickle.dumps(held)
     except Exception as error:  # anything in a user's class
@@ -64,11 +60,7 @@ def dumped(held: Held) -> bytes:
 
 
 def loaded(data: bytes) -> Any:
-    """What a worker holds.
-
-    Raises:
-        ValueError: when its class is not found there.
-    """
+    """What a worker holds; refuses what has a class that is not found there."""
     try:
         return pickle.loads(data)
     except (Exception, SystemExit) as error:  # whatever importing a user's module raises

@@ -1,7 +1,5 @@
 """Progress on a terminal: a bar with rate and time left; elsewhere one line per technique."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from collections.abc import Callable, Iterator

@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
+from amusic_gym.extraction.blocks import array_of
 from amusic_gym.extraction.processes import dumped, loaded
 from amusic_gym.extraction.shards import (
     ATTEMPTS,
@@ -21,7 +22,6 @@ from amusic_gym.extraction.shards import (
     S,
     Shard,
     Workers,
-    array_of,
     nothing,
 )
 from amusic_gym.utils.optional import optional
@@ -51,11 +51,7 @@ class RayCluster(Executor):
         return _RayWorkers(self, dumped(held))
 
     def connect(self) -> Any:
-        """Ray, connected to a cluster.
-
-        Raises:
-            ValueError: when there is none at the address.
-        """
+        """Ray, connected to a cluster; refuses an address where there is none."""
         if self._ray.is_initialized():
             return self._ray
         try:
@@ -134,10 +130,9 @@ def _result(ray: Any, task: Any, shard: Shard) -> Any:
 
 
 def _bootstrap() -> Callable[[list[str], bytes, bytes], Any]:
-    """The function that Ray sends to its workers.
+    """The function that Ray sends to its workers, by its code, as it stands inside a function.
 
-    Ray sends a function inside a function by its code, any other by the name of its module, which
-    workers may not find before they look where this process does.
+    Any other goes by its module's name, which workers may not find before they look where we do.
     """
 
     def run(path: list[str], held: bytes, shard: bytes) -> Any:

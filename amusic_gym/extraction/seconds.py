@@ -1,7 +1,5 @@
 """The cost of one run of a technique on this machine."""
 
-from __future__ import annotations
-
 import os
 import platform
 import time
@@ -20,31 +18,18 @@ from amusic_gym.extraction.shards import Workers
 from amusic_gym.techniques.protocol import Descriptor, Image, Technique
 from amusic_gym.utils.threads import one_thread
 
-QUERIES = 5
-"""Query images that are timed, after one run to warm up."""
-
-REPEATS = 3
-"""Rounds over these images."""
-
-STEADY = 0.25
-"""Spread up to which a measurement is believed without a warning."""
-
-SHORTEST = 1e-3
-"""Seconds below which every clock's measurement spreads, and no cost turns on it."""
-
-BLOCKS = 3
-"""Blocks of the map that they are matched with; the time is scaled to the whole map."""
+QUERIES = 5  # query images that are timed, after one run to warm up
+REPEATS = 3  # rounds over these images
+STEADY = 0.25  # spread up to which a measurement is believed without a warning
+SHORTEST = 1e-3  # seconds below which every clock's measurement spreads, and no cost turns on it
+BLOCKS = 3  # blocks of the map that they are matched with; the time is scaled to the whole map
 
 
 class Cost(NamedTuple):
-    """Cost of a run.
+    """Cost of a run."""
 
-    Attributes:
-        seconds: the median.
-        spread: share of it by which the middle half of the runs of an image differ from its median.
-    """
-
-    seconds: float
+    seconds: float  # the median
+    # share of it by which the middle half of the runs of an image differ from its median
     spread: float
 
     def __str__(self) -> str:

@@ -1,7 +1,5 @@
 """Shards, pieces of work of an extraction, a study or a search, and what runs them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +12,7 @@ from amusic_gym.extraction.blocks import (
     Images,
     Stored,
     aligned,
+    array_of,
     check_shape,
     describe_one,
     describe_some,
@@ -24,11 +23,8 @@ from amusic_gym.techniques.protocol import Technique
 from amusic_gym.utils.closing import Closing
 from amusic_gym.utils.threads import one_thread
 
-ATTEMPTS = 3
-"""How often a shard is tried whose worker dies."""
-
-Advance: TypeAlias = Callable[[int], object]
-"""Progress callback: called with the amount of work done since the last call."""
+ATTEMPTS = 3  # how often a shard is tried whose worker dies
+Advance: TypeAlias = Callable[[int], object]  # is told the amount of work done since the last call
 
 
 def nothing(done: int) -> None:
@@ -43,18 +39,14 @@ class Held(Protocol):
 
 
 class Shard(Protocol):
-    """A piece of work: the same result in any process, in any order.
-
-    Attributes:
-        size: amount of work, for the progress bar.
-    """
+    """A piece of work: the same result in any process, in any order."""
 
     @property
-    def size(self) -> int: ...  # noqa: D102
+    def size(self) -> int:
+        """Amount of work, for the progress bar."""
 
     def run(self, held: Any, advance: Advance = nothing, /) -> Any:
         """The result, which pickles; ``advance`` is called with all of ``size``, bit by bit."""
-        ...
 
 
 S = TypeVar("S", bound=Shard)
@@ -149,11 +141,7 @@ class MatchShard:
         return f"matching {self.queries.shape[0]} queries × {self.references.shape[0]} references"
 
     def run(self, technique: Technique, advance: Advance = nothing) -> NDArray[np.float32]:
-        """Match the queries one by one, each as :func:`match_one` does it live.
-
-        Raises:
-            ValueError: for a query that cannot be matched, with its path.
-        """
+        """Match the queries one by one, each as :func:`match_one` does it live; names a bad one."""
         queries, block = array_of(self.queries), aligned(array_of(self.references))
         scores = np.empty((len(queries), len(block)), np.float32)
         with one_thread():
@@ -164,11 +152,6 @@ class MatchShard:
                     raise _at(path, error) from error.__cause__ or error
                 advance(len(block))
         return scores
-
-
-def array_of(values: Stored | NDArray[np.float32]) -> NDArray[np.float32]:
-    """The array itself."""
-    return values.array() if isinstance(values, Stored) else values
 
 
 def _at(path: Path, error: ValueError) -> ValueError:

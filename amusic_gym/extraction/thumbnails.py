@@ -13,19 +13,14 @@ from numpy.typing import NDArray
 from amusic_gym.extraction.blocks import Images
 from amusic_gym.techniques.protocol import Image
 
-LONGEST = 320
-"""Pixels of a thumbnail's longer side, at most."""
-
+LONGEST = 320  # pixels of a thumbnail's longer side, at most
 _QUALITY = 85
 
 
 class Thumbnails:
     """Images of R places, decoded when they are asked for.
 
-    Args:
-        path: of the map, for messages.
-        data: (N,) uint8 of all.
-        ends: (R,) where each ends.
+    All their ``data`` (N,) uint8 follow each other; ``ends`` (R,) tells where each ends.
     """
 
     def __init__(

@@ -1,7 +1,5 @@
 """Answers of a drive as plain data that other programs read."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,32 +51,7 @@ class FrameResult:
         return tuple(n for n, on in zip(self.techniques, self.ran, strict=True) if on)
 
 
-RETRY = 100
-"""Frames for which a technique that raised is left out."""
-
-
-class Drive(Protocol):
-    """A policy on its way along a live route."""
-
-    def begin(self) -> None:
-        """Forget everything; the next frame is the source's first."""
-        ...
-
-    def step(self, *, everything: bool = False) -> FrameResult | None:
-        """Take the next frame; None where the source has ended.
-
-        Args:
-            everything: whether all techniques run on it, whatever the policy wants.
-        """
-        ...
-
-    def save(self, arrays: Arrays) -> Any:
-        """What is remembered, see :func:`amusic_gym.utils.states.taken`."""
-        ...
-
-    def restore(self, saved: Any, arrays: Arrays) -> None:
-        """Go on from what was saved of a drive of the same policy, map and settings."""
-        ...
+RETRY = 100  # frames for which a technique that raised is left out
 
 
 def drive_along(
@@ -86,7 +61,7 @@ def drive_along(
     *,
     compute_weight: float | None = None,
     keeper: Keeper | None = None,
-) -> Drive:
+) -> _SelectorDrive | _LocaliserDrive:
     """A drive that is about to take its first frame; see `amusic_gym.live.navigation.navigate`."""
     if isinstance(policy, Selector):
         weight = 1.0 if compute_weight is None else compute_weight
@@ -125,6 +100,7 @@ class _SelectorDrive:
         self.begin()
 
     def begin(self) -> None:
+        """Forget everything; the next frame is the source's first."""
         weight = self._weight if self._keeper is None else self._keeper.weight
         options = {"start": 0, "compute_weight": weight}
         self._observation, self._info = self._env.reset(options=options)
@@ -133,6 +109,10 @@ class _SelectorDrive:
         self._ended = False
 
     def step(self, *, everything: bool = False) -> FrameResult | None:
+        """Take the next frame; None where the source has ended.
+
+        With ``everything`` all techniques run on it, whatever the policy wants.
+        """
         if self._ended:
             return None
         drive = self._rows
@@ -172,10 +152,12 @@ class _SelectorDrive:
         return drive
 
     def save(self, arrays: Arrays) -> Any:
+        """What is remembered, see :func:`amusic_gym.utils.states.taken`."""
         last = {"observation": self._observation, "info": self._info, "ended": self._ended}
         return taken({**self._parts(), "last": last}, arrays, _KEPT)
 
     def restore(self, saved: Any, arrays: Arrays) -> None:
+        """Go on from what was saved of a drive of the same policy, map and settings."""
         found = put_back({**self._parts(), "last": {}}, saved, arrays, "drive")
         self._observation, self._info, self._ended = found["last"].values()
         episodes = self._env.task.episodes
@@ -195,8 +177,7 @@ class _SelectorDrive:
         }
 
 
-_KEPT = frozenset({"route", "batch", "_turn", "_policy"})
-"""Attributes that are the new drive's own."""
+_KEPT = frozenset({"route", "batch", "_turn", "_policy"})  # attributes that are the new drive's own
 
 
 def _told(info: dict[str, Any], techniques: int) -> dict[str, Any]:
@@ -216,7 +197,7 @@ def _told(info: dict[str, Any], techniques: int) -> dict[str, Any]:
 
 
 class _LocaliserDrive:
-    """The policy gives the places itself."""
+    """The policy gives the places itself; otherwise as `_SelectorDrive`."""
 
     def __init__(self, policy: Localiser, route: LiveRoute) -> None:
         self._policy, self._route = policy, route

@@ -21,20 +21,14 @@ from amusic_gym.utils.names import suggest
 if TYPE_CHECKING:
     from amusic_gym.live.drives import FrameResult
 
-WINDOW = 200
-"""Frames over which the average is held to the budget."""
-
-MARGIN = 0.05
-"""Share of the budget by which that average may be off before choices are changed."""
-
-GAIN = 0.05
-"""What ln λ rises by after a frame that costs a whole budget too much."""
+WINDOW = 200  # frames over which the average is held to the budget
+MARGIN = 0.05  # share of the budget by which that average may be off before choices are changed
+GAIN = 0.05  # what ln λ rises by after a frame that costs a whole budget too much
 
 MEMORY = 9
 """Runs of which the median is what a technique is taken to cost, where costs are measured."""
 
-WORST = 2.0
-"""Times what all techniques are expected to cost that a frame is charged with at most."""
+WORST = 2.0  # times what all techniques are expected to cost that a frame is charged with at most
 
 Flags = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -62,7 +56,6 @@ class Limits:
     cap_ms: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         named = ("budget_ms", "budget_fps", "budget_joules", "cap_ms")
         given = [name for name in named if getattr(self, name) is not None]
         for name in given:
@@ -85,11 +78,7 @@ class Limits:
         return self.budget_ms if self.budget_joules is None else self.budget_joules
 
     def check(self, spec: str) -> None:
-        """Refuse a policy, as on the command line, that no budget can steer.
-
-        Raises:
-            ValueError: naming policies that can be steered.
-        """
+        """Refuse with a ValueError a policy, as on the command line, that no budget can steer."""
         policy, argument = parse(spec)
         if self.budget is not None and not policy.reads_weight(argument or ""):
             raise ValueError(f"policy {spec} has no λ to hold a budget with; take ppo or voi")
@@ -155,21 +144,15 @@ class Limits:
 
 
 class Costs:
-    """What a frame costs, as declared or as measured.
+    """What a frame costs, by runs of techniques (T,) as declared.
 
-    Args:
-        runs: (T,) of a run of each technique, as declared.
-        measured: whether wall times, in milliseconds, count instead once there are some.
-
-    Attributes:
-        runs: (T,) as it is expected.
-        besides: of a frame, besides its runs.
+    With ``measured`` wall times, in milliseconds, count instead once there are some.
     """
 
     def __init__(self, runs: ArrayLike, measured: bool) -> None:
-        self.runs: Floats = np.array(runs, np.float64)
+        self.runs: Floats = np.array(runs, np.float64)  # (T,) as it is expected
         self.measured = measured
-        self.besides = 0.0
+        self.besides = 0.0  # of a frame, besides its runs
         self._last = [deque([cost], MEMORY) for cost in (*self.runs.tolist(), 0.0)]
 
     def of(self, subsets: Flags) -> Any:
@@ -195,9 +178,6 @@ class Keeper:
     λ is steered so that frames cost the budget on average: ln λ integrates what they cost too much
     or too little. Where that alone leaves the average over the last `WINDOW` frames, those before
     the first taken to be at the budget, off by more than `MARGIN`, the choice itself is changed.
-
-    Attributes:
-        weight: λ for the next frame.
     """
 
     def __init__(
@@ -205,6 +185,7 @@ class Keeper:
     ) -> None:
         self.budget = limits.budget
         self.cap = math.inf if limits.cap_ms is None else limits.cap_ms
+        # λ for the next frame
         self.weight = float(np.clip(weight, *COMPUTE_WEIGHT_RANGE)) if self.budget else weight
         self.clock, self.charged = clock, charged
         self._policy = policy
@@ -212,11 +193,9 @@ class Keeper:
         self._spent = deque([self.budget or 0.0] * WINDOW, WINDOW)
 
     def choose(self, wanted: Flags, observation: NDArray[np.float32]) -> Flags:
-        """What runs (T,) in place of what the policy wants.
+        """What runs (T,) in place of what the policy wants (T,) after an observation (1, D).
 
-        Args:
-            wanted: (T,).
-            observation: (1, D) that it was chosen for; a `Rater` is asked for its next best.
+        A `Rater` is asked for its next best.
         """
         chosen = self._within(wanted, observation)
         self._refused = float(self.charged.of(wanted) - self.charged.of(chosen))

@@ -1,7 +1,5 @@
 """A localiser that a robot's own program pushes images into, one by one."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -28,11 +26,8 @@ from amusic_gym.utils.states import read_state, write_state
 COMPUTE_WEIGHT = 0.3
 """λ of a trained selector where none is named: in the middle of what `compare` runs."""
 
-TOLERANCE = 2
-"""Places that count as one when matches are compared, where none is named."""
-
-KNOWN = 0.5
-"""Estimated correctness from which a place counts as known, where nothing else is said."""
+TOLERANCE = 2  # places that count as one when matches are compared, where none is named
+KNOWN = 0.5  # estimated correctness from which a place counts as known, where nothing else is said
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,10 +85,6 @@ class Localiser(Closing):
     """Recognises the places of a map in images that are pushed into it.
 
     It does what `navigate` does with the same images. See :meth:`load` for the arguments.
-
-    Attributes:
-        map: the map.
-        min_p: see :meth:`load`.
     """
 
     def __init__(
@@ -221,9 +212,6 @@ class Localiser(Closing):
         self._everything = False
         self._last = self._last if stamp is None else stamp
         self._count += 1
-        return self._localisation(seen, stamp)
-
-    def _localisation(self, seen: FrameResult, stamp: float | None) -> Localisation:
         place, p = seen.prediction, seen.p_correct
         position = heading = None
         if place >= 0 and self._where is not None and self.map.positions is not None:

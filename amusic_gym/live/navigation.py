@@ -1,7 +1,5 @@
 """Runs a policy along a live route, frame by frame, as a robot would."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
@@ -14,8 +12,6 @@ from amusic_gym.policies.protocol import Correction, Policy
 from amusic_gym.policies.trace import CSV_COLUMNS, csv_line
 from amusic_gym.utils.closing import Closing
 from amusic_gym.utils.escaping import CsvWriter
-
-__all__ = ["FrameResult", "TraceWriter", "navigate"]
 
 
 def navigate(
@@ -58,11 +54,8 @@ class TraceWriter(Closing):
 
     The columns are those of :meth:`amusic_gym.policies.trace.Trace.write_csv`, then the
     milliseconds of the frame without reading its image, of reading it, and of each technique's
-    runs. ``correct`` is empty where the ground truth is not known.
-
-    Args:
-        path: the file; one that is there is replaced.
-        route: the route that is driven.
+    runs. ``correct`` is empty where the ground truth is not known. A file that is there is
+    replaced.
 
     Example:
         >>> with TraceWriter("trace.csv", route) as writer:  # doctest: +SKIP

@@ -1,7 +1,5 @@
 """Drives in Rerun: camera, place, p̂, runs and milliseconds on one timeline."""
 
-from __future__ import annotations
-
 import os
 from typing import Any
 
@@ -11,11 +9,8 @@ from amusic_gym.live.drives import FrameResult
 from amusic_gym.utils.closing import Closing
 from amusic_gym.utils.optional import optional
 
-PATIENCE = 3.0
-"""Seconds within which a viewer must answer."""
-
-QUALITY = 75
-"""Of the camera's pictures, JPEG."""
+PATIENCE = 3.0  # seconds within which a viewer must answer
+QUALITY = 75  # of the camera's pictures, JPEG
 
 
 class Recording(Closing):

@@ -1,7 +1,5 @@
 """Answers of a drive over HTTP: the last one, all as they come, and a page that shows them."""
 
-from __future__ import annotations
-
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
@@ -10,8 +8,7 @@ from typing import Any
 from amusic_gym.live.answers import line
 from amusic_gym.utils.closing import Closing
 
-ALIVE = 15.0
-"""Seconds without an answer after which a reader of events is told that all is well."""
+ALIVE = 15.0  # seconds without an answer after which a reader of events is told that all is well
 
 
 class AnswerServer(Closing):
@@ -25,13 +22,14 @@ class AnswerServer(Closing):
 
     Attributes:
         url: of the page.
+        last: the last answer; empty before the first.
 
     Raises:
         OSError: where that cannot be listened on.
     """
 
     def __init__(self, port: int, host: str = "127.0.0.1") -> None:
-        self._last, self._number = b"", 0
+        self.last, self._number = b"", 0
         self._changed = threading.Condition()
         self._ended = False
         self._server = _Server((host, port), _Handler)
@@ -43,23 +41,18 @@ class AnswerServer(Closing):
     def put(self, answer: dict[str, Any]) -> None:
         """Publish a frame's answer."""
         with self._changed:
-            self._last, self._number = line(answer).encode(), self._number + 1
+            self.last, self._number = line(answer).encode(), self._number + 1
             self._changed.notify_all()
-
-    def last(self) -> bytes:
-        """The last answer; empty before the first."""
-        return self._last
 
     def after(self, number: int) -> tuple[int, bytes] | None:
         """The last answer and its number, once there is a later one; empty after `ALIVE` seconds.
 
-        Returns:
-            None at the end.
+        At the end it is None.
         """
         with self._changed:
             self._changed.wait_for(lambda: self._ended or self._number > number, ALIVE)
             if self._number > number:
-                return self._number, self._last
+                return self._number, self.last
             return None if self._ended else (number, b"")
 
     def close(self) -> None:
@@ -85,13 +78,12 @@ class _Handler(BaseHTTPRequestHandler):
     server: _Server
 
     def do_GET(self) -> None:  # noqa: N802
-        """Answer a request."""
         answers, path = self.server.answers, self.path.partition("?")[0]
         if path == "/":
             page = files("amusic_gym.live").joinpath("page.html").read_bytes()
             self._send(200, "text/html; charset=utf-8", page)
         elif path == "/last":
-            last = answers.last()
+            last = answers.last
             self._send(200 if last else 204, "application/json", last)
         elif path == "/events":
             self._begin(200, "text/event-stream")

@@ -4,8 +4,6 @@ FAB-MAP's vocabulary is learned here, too, from images of the user's. A closed w
 package imports it; ``scripts/train_*.py`` do, by the names below.
 """
 
-from __future__ import annotations
-
 from amusic_gym.pretraining.fabmap import train_fabmap
 from amusic_gym.pretraining.job import TECHNIQUES, add_arguments, train
 

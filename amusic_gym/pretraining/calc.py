@@ -9,8 +9,6 @@ layer instead of three, so that the descriptor itself, which is compared by its 
 HOG; Adam instead of plain descent.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 
 import cv2
@@ -48,13 +46,10 @@ class Settings:
 
 
 class AutoEncoder(nn.Module):
-    """CALC's encoder and a decoder of one layer: pictures to HOG descriptors.
+    """CALC's encoder and a decoder of one layer, which gives at first the ``mean`` HOG (3648,).
 
     While it learns, each convolution is followed by batch normalisation, without which the last
     layer's ReLU soon gives zeros only; :func:`finished` takes it out again.
-
-    Args:
-        mean: (3648,) mean HOG descriptor, which the decoder gives at first.
     """
 
     def __init__(self, mean: NDArray[np.float32]) -> None:

@@ -4,8 +4,6 @@ Real traverses are each recorded by one camera in one light: what a traverse's i
 :class:`RandomCamera`, drawn once per traverse. What changes from frame to frame is drawn per image.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,16 +43,10 @@ class RandomCamera:
 
 
 def warp(image: Image, corners: Floats, bend: float = 0.0) -> Image:
-    """The image seen through a bent lens by a camera that moved.
+    """The image (H, W[, 3]) seen through a bent lens by a camera that moved, (HEIGHT, WIDTH[, 3]).
 
-    Args:
-        image: (H, W, 3) or (H, W).
-        corners: (4, 2) where the picture's corners lie in the image, -1 to 1 both ways, in the
-            order of ``CORNERS``. Beyond its edges the image is mirrored.
-        bend: see :class:`RandomCamera`.
-
-    Returns:
-        (HEIGHT, WIDTH) or (HEIGHT, WIDTH, 3).
+    ``corners`` (4, 2): where the picture's lie in the image, -1 to 1 both ways, in the order of
+    ``CORNERS``. Beyond its edges the image is mirrored. ``bend``: see :class:`RandomCamera`.
     """
     points: Any = GRID  # (H, W, 2); OpenCV's functions are typed too widely
     if bend:

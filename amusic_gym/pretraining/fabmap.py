@@ -1,7 +1,5 @@
 """Training of FAB-MAP's vocabulary and Chow-Liu tree on images of the user's."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,8 +12,7 @@ from amusic_gym.techniques.fabmap import local_features, words_of
 from amusic_gym.techniques.fabmap_model import ChowLiuTree
 from amusic_gym.utils.checks import whole
 
-MOST_FEATURES = 200_000
-"""Local features that a vocabulary is learned from: more are drawn from."""
+MOST_FEATURES = 200_000  # local features that a vocabulary is learned from: more are drawn from
 
 
 def train_fabmap(

@@ -1,7 +1,5 @@
 """A training as a job: its options, its images, its validation, and what it says of itself."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import json
@@ -21,14 +19,9 @@ from amusic_gym.utils.threads import one_thread
 TECHNIQUES = ("calc", "netvlad")
 """Modules of this package that have a ``Settings`` and a ``train(job, settings)``."""
 
-HELD_OUT_SEED = 1_000_000
-"""Added to the seed for the worlds of the validation."""
-
-TOLERANCE = 1
-"""Places, in the validation."""
-
-Describe = Callable[[list[Image]], NDArray[np.float32]]
-"""Images to (B, D) descriptors of length 1."""
+HELD_OUT_SEED = 1_000_000  # added to the seed for the worlds of the validation
+TOLERANCE = 1  # places, in the validation
+Describe = Callable[[list[Image]], NDArray[np.float32]]  # images to (B, D) descriptors of length 1
 
 
 @dataclass(frozen=True)

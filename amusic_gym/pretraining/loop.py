@@ -1,7 +1,5 @@
 """A training that shows how far it is, can be stopped, and goes on with the same bits."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math
@@ -21,14 +19,9 @@ from tqdm import tqdm
 from amusic_gym.pretraining.job import TrainingJob
 from amusic_gym.utils.storage import write_whole
 
-SAVE_EVERY = 100
-"""Steps between checkpoints; Ctrl-C makes one too."""
-
-DECAY = 1e-4
-"""Weight decay."""
-
-WARM_UP = 0.1
-"""Share of the steps in which the learning rate rises."""
+SAVE_EVERY = 100  # steps between checkpoints; Ctrl-C makes one too
+DECAY = 1e-4  # weight decay
+WARM_UP = 0.1  # share of the steps in which the learning rate rises
 
 
 def learning_rate(step: int, steps: int, highest: float) -> float:
@@ -62,15 +55,9 @@ class Training:
     All that a step draws comes from a generator of its own, seeded with the training's seed and
     the step's number, so a training that was stopped and resumed gives the same bits.
 
-    Args:
-        network: what is trained, on one thread.
-        job: where the checkpoint lies.
-        stage: name of the checkpoint.
-        settings: all that the result depends on, by name, in numbers and texts, ``seed`` among
-            them; stored, and compared when resuming.
-        steps: how many.
-        rate: highest learning rate.
-        needed: whether resuming needs a checkpoint of this stage.
+    All that the result depends on, ``seed`` among it, stands in ``settings``, which are stored, and
+    compared when resuming. ``rate`` is the highest learning rate; ``needed`` says whether resuming
+    needs a checkpoint of this stage.
 
     Raises:
         FileNotFoundError: if there is no checkpoint to resume from.
@@ -93,11 +80,7 @@ class Training:
             self._restore()
 
     def run(self, loss_of: Callable[[np.random.Generator], Tensor]) -> list[float]:
-        """Train to the last step; gives the loss of each.
-
-        Raises:
-            KeyboardInterrupt: after a checkpoint.
-        """
+        """Train to the end; each step's loss. A KeyboardInterrupt comes after a checkpoint."""
         self.network.train()
         done = len(self.losses)
         hidden = not self.job.progress

@@ -12,8 +12,6 @@ here
 3. the whitening is fitted on rendered images.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, field, replace
 
 import cv2
@@ -33,11 +31,8 @@ from amusic_gym.techniques.saved_weights import save_netvlad
 
 POINT_TEMPERATURE = 0.07
 PLACE_TEMPERATURE = 0.05
-DAMPING = 0.25
-"""Added to the whitening's variances, in mean variances: little ones are mostly noise."""
-
-ROOM = 0.95
-"""Points nearer to the border of a picture than this (-1 to 1) are left out."""
+DAMPING = 0.25  # added to the whitening's variances, in mean variances: small ones are noise
+ROOM = 0.95  # points nearer to the border of a picture than this (-1 to 1) are left out
 
 SHARPNESS = 0.1
 """Weight of the second nearest visual word relative to the nearest, typically (the authors: .01,
@@ -80,9 +75,6 @@ def contrast(queries: Tensor, references: Tensor, temperature: float) -> Tensor:
     logits = queries @ references.T / temperature  # (B, B)
     partner = torch.arange(len(logits))
     return (F.cross_entropy(logits, partner) + F.cross_entropy(logits.T, partner)) / 2
-
-
-# ---- stage 1: points ------------------------------------------------------------------------
 
 
 def point_loss(
@@ -131,9 +123,6 @@ def features_at(features: Tensor, points: NDArray[np.float32]) -> Tensor:
     return F.normalize(found.transpose(1, 2).flatten(0, 1), dim=1)
 
 
-# ---- visual words ---------------------------------------------------------------------------
-
-
 def set_words(network: NetVLADNetwork, pool: Pool, settings: Settings) -> None:
     """Visual words by k-means on local features of rendered images; sharpness of their shares."""
     rng = np.random.default_rng([settings.seed, 1])
@@ -158,9 +147,6 @@ def set_words(network: NetVLADNetwork, pool: Pool, settings: Settings) -> None:
         network.pool.assignment.weight.copy_(sharpness * centroids)
 
 
-# ---- stage 2: places ------------------------------------------------------------------------
-
-
 def place_loss(
     network: NetVLADNetwork, pool: Pool, settings: Settings, rng: np.random.Generator
 ) -> Tensor:
@@ -176,9 +162,6 @@ def place_loss(
             ]
     descriptors = network.aggregate(batch(queries + references, settings.preparation))
     return contrast(descriptors[: len(queries)], descriptors[len(queries) :], PLACE_TEMPERATURE)
-
-
-# ---- whitening ------------------------------------------------------------------------------
 
 
 def set_whitening(network: NetVLADNetwork, pool: Pool, settings: Settings) -> None:
@@ -200,9 +183,6 @@ def set_whitening(network: NetVLADNetwork, pool: Pool, settings: Settings) -> No
     with torch.no_grad():
         network.whitening.weight.copy_(torch.from_numpy(matrix))
         network.whitening.bias.copy_(torch.from_numpy(-matrix @ middle))
-
-
-# ---- all together ---------------------------------------------------------------------------
 
 
 def train(job: TrainingJob, settings: Settings) -> tuple[list[float], list[float]]:

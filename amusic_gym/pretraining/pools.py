@@ -1,7 +1,5 @@
 """Images to learn from: rendered worlds under several conditions, and random collages."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,14 +17,9 @@ from amusic_gym.utils.imports import digest_of
 from amusic_gym.utils.storage import write_whole
 from amusic_gym.worlds import CONDITIONS, KINDS, SPACING, World, render
 
-DRIVES = 2
-"""Drives through each world; another drive differs in its line, sway, light and parked cars."""
-
-SIGHTS = 2
-"""Conditions under which each drive is rendered, from the very same poses."""
-
-LINE = "shift"
-"""The condition that drives on another line: every second world's second drive does."""
+DRIVES = 2  # drives through each world; they differ in line, sway, light and parked cars
+SIGHTS = 2  # conditions under which each drive is rendered, from the very same poses
+LINE = "shift"  # the condition that drives on another line: every second world's second drive does
 
 
 @dataclass(frozen=True)
@@ -116,9 +109,6 @@ def _render_world(images: NDArray[np.uint8], number: int, seed: int, bar: tqdm) 
                     world, along, condition, size=(WIDTH, HEIGHT), run=drive, frame=place
                 )
             bar.update()
-
-
-# ---- collages -------------------------------------------------------------------------------
 
 
 def collage(rng: np.random.Generator) -> Image:

@@ -84,11 +84,7 @@ class BankImages:
 
 
 def parse_change(text: str) -> Change:
-    """The change whose text this is.
-
-    Raises:
-        ValueError: for another text.
-    """
+    """The change whose text this is; refuses another."""
     condition, seed, frame = text.replace(" frame ", " seed ").split(" seed ")
     return Change(Condition.parse(condition), int(seed), int(frame))
 

@@ -26,9 +26,7 @@ from amusic_gym.techniques.protocol import Image
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import suggest
 
-STRENGTH = 0.7
-"""Of a condition that is written without one."""
-
+STRENGTH = 0.7  # of a condition that is written without one
 PLAIN = "plain"
 
 _Floats = NDArray[np.float32]
@@ -72,8 +70,7 @@ def _blur(image: _Floats, strength: float, chance: _Chance) -> _Floats:
 def _shift(image: _Floats, strength: float, chance: _Chance) -> _Floats:
     """Another lane: 30 % of the width go out of view at one side, and the rest fills the image.
 
-    The side is the same on the whole drive. Height and width are scaled alike, about the middle of
-    the height.
+    The side is the same on the whole drive.
     """
     import cv2
 
@@ -93,8 +90,7 @@ def _shift(image: _Floats, strength: float, chance: _Chance) -> _Floats:
 def _fog(image: _Floats, strength: float, chance: _Chance) -> _Floats:
     """Light grey in front of everything, denser above, where things are far, than at the bottom.
 
-    At strength 1, 5 % of the contrast are left at the top and 37 % at the bottom; density drifts
-    from one side of the image to the other.
+    At strength 1, 5 % of the contrast are left at the top and 37 % at the bottom.
     """
     height, width = image.shape[:2]
     rows = np.linspace(3.0, 1.0, height, dtype=np.float32)[:, None]
@@ -122,11 +118,7 @@ def _rain(image: _Floats, strength: float, chance: _Chance) -> _Floats:
 
 
 def _glare(image: _Floats, strength: float, chance: _Chance) -> _Floats:
-    """A low sun in view: a white disc, a wide halo, and a veil of stray light over the image.
-
-    The sun is at one place of the sky on the whole drive and moves a little from frame to frame as
-    the camera sways.
-    """
+    """A low sun in view, swaying with the camera: a disc, a halo, and a veil of stray light."""
     height, width = image.shape[:2]
     sun = chance.drive.uniform((0.15, 0.1), (0.85, 0.4)) + chance.frame.normal(0.0, 0.01, 2)
     across, down = sun.tolist()  # in widths, in heights
@@ -152,13 +144,9 @@ CONDITIONS: dict[str, Callable[[_Floats, float, _Chance], _Floats]] = {
 
 @dataclass(frozen=True)
 class Condition:
-    """One condition, or several at once.
+    """One condition, or several at once."""
 
-    Attributes:
-        parts: name and strength of each, in the order in which they are applied; none: plain.
-    """
-
-    parts: tuple[tuple[str, float], ...] = ()
+    parts: tuple[tuple[str, float], ...] = ()  # (name, strength), in order; none: plain
 
     @classmethod
     def parse(cls, text: str) -> Condition:
@@ -187,15 +175,9 @@ class Condition:
         return "+".join(f"{name}:{strength!r}" for name, strength in self.parts) or PLAIN
 
     def apply(self, image: Image, *, seed: int, frame: int) -> Image:
-        """The image under this condition.
+        """The image (H, W, 3) uint8, blue-green-red, under this condition; itself if that is plain.
 
-        Args:
-            image: (H, W, 3) uint8, blue-green-red, of any size.
-            seed: of the drive, a whole number >= 0.
-            frame: number of the image on the drive, >= 0.
-
-        Returns:
-            (H, W, 3) uint8; the image itself where the condition is plain.
+        ``seed`` is the drive's, ``frame`` the number of the image on it, both >= 0.
 
         Raises:
             ValueError: for another array, seed or frame.

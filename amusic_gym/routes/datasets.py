@@ -4,8 +4,6 @@ None of them is downloaded: docs/datasets.md says where each is to be had and ho
 Another one is one more entry in ``DATASETS``.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,23 +19,14 @@ from amusic_gym.utils.names import suggest
 
 @dataclass(frozen=True)
 class Dataset:
-    """A route that was travelled twice.
+    """A route that was travelled twice."""
 
-    Args:
-        reference: folders of the map, from the data sets' root; several are joined in this order.
-        query: folders of the run, as many.
-        images: how many each traverse has in the paper.
-        condition: what differs between the traverses.
-        source: where to get it; the part of a sentence that follows "get it from".
-        tolerance: places to either side of the true one that count as right.
-    """
-
-    reference: tuple[str, ...]
-    query: tuple[str, ...]
-    images: int
-    condition: str
-    source: str
-    tolerance: int = 1
+    reference: tuple[str, ...]  # folders of the map, from the data sets' root, joined in this order
+    query: tuple[str, ...]  # folders of the run, as many
+    images: int  # of each traverse in the paper
+    condition: str  # what differs between the traverses
+    source: str  # the part of a sentence that follows "get it from"
+    tolerance: int = 1  # places to either side of the true one that count as right
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,6 @@
 Which layouts are read, and what each says of the order of its rows, is in docs/datasets.md.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from itertools import product
@@ -15,7 +13,7 @@ from amusic_gym.banks.descriptors import H5_SUFFIXES, Descriptors
 from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.images import SUFFIXES
 from amusic_gym.routes.numbering import HOW, arranged
-from amusic_gym.utils.reading import open_file, read_array
+from amusic_gym.utils.reading import open_file, read_array, read_lines
 
 SORTED = {"reference": "database_descriptors.npy", "query": "queries_descriptors.npy"}
 """Files of VPR-methods-evaluation, whose rows are in the string order of the images' paths."""
@@ -49,15 +47,11 @@ def read_traverse(path: _Path, order: _Path | None = None) -> ImageFolder:
                 f"{path} has shape {array.shape} and dtype {array.dtype}; give a list of names"
             )
         return named(path, array.astype(str).tolist())
-    return named(path, _lines(path))
+    return named(path, read_lines(path))
 
 
 def named(path: Path, names: Sequence[str]) -> ImageFolder:
-    """A traverse of which only the images' names are known.
-
-    Raises:
-        ValueError: when there is none, or one twice.
-    """
+    """A traverse of which only the names of the images are known, each once."""
     if not names or len(set(names)) < len(names):
         what = "names an image twice" if names else "names no image"
         raise ValueError(f"{path} {what}; give each image's name once")
@@ -132,7 +126,7 @@ def _row_names(source: Descriptors, images: ImageFolder, by_path: bool) -> Seque
     beside = Path(f"{os.fspath(images.path)}_images_paths.txt")
     listed = images.path.is_file() and images.path.suffix.lower() not in H5_SUFFIXES
     if by_path and not listed:
-        names = tuple(_lines(beside) if beside.is_file() else sorted(names))
+        names = tuple(read_lines(beside) if beside.is_file() else sorted(names))
     elif not listed and list(names) != sorted(names):
         first = next(name for name, other in zip(names, sorted(names), strict=True) if name > other)
         raise ValueError(
@@ -148,18 +142,8 @@ def _row_names(source: Descriptors, images: ImageFolder, by_path: bool) -> Seque
     return names
 
 
-def _lines(path: Path) -> list[str]:
-    with open_file(path) as file:
-        text = file.read().decode("utf-8-sig", "surrogateescape")
-    return [line.strip() for line in text.splitlines() if line.strip() and line[0] != "#"]
-
-
 def _matched(images: ImageFolder, rows: Sequence[str], source: str) -> list[int]:
-    """The row of each image: by its path, also below a folder that only one side knows.
-
-    Raises:
-        ValueError: where an image has no row, or its name fits several.
-    """
+    """The row of each image: by its path, also below a folder that only one side knows."""
     names, whole = images.names, f"{images.path.absolute().as_posix()}/"
     for stems, below in product((False, True), repeat=2):
         wanted = [_stem(name) if stems else name for name in names]

@@ -26,7 +26,7 @@ from amusic_gym.routes.numbering import arranged, gaps, natural_key, same_number
 from amusic_gym.techniques.protocol import Image
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import few
-from amusic_gym.utils.reading import open_file
+from amusic_gym.utils.reading import read_lines
 
 _NAMED = 5  # frames that a warning names before it only counts
 
@@ -270,9 +270,7 @@ def _listed(
     what = "order"
     if isinstance(order, str | os.PathLike):
         what = os.fspath(order)
-        with open_file(Path(order)) as file:
-            lines = file.read().decode("utf-8-sig", "surrogateescape").splitlines()
-        order = [line.strip() for line in lines if line.strip() and not line.startswith("#")]
+        order = read_lines(Path(order))
     images = {path.relative_to(folder).as_posix(): (path, size) for path, size in found}
     for name, count in Counter(order).items():
         if name not in images or count > 1:
@@ -331,8 +329,7 @@ def _take(
 def _repeats(files: Sequence[tuple[Path, int]]) -> tuple[tuple[int, int], ...]:
     """Runs of neighbouring files with the same bytes.
 
-    Two different photographs seldom have the same size as files, so hardly any file is opened; and
-    those of a kind that always has the same size differ within their first bytes.
+    Photographs seldom have the same size as files, so hardly any file is opened.
     """
     runs: list[tuple[int, int]] = []
     for at, ((path, size), (following, its_size)) in enumerate(pairwise(files)):

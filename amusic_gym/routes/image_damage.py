@@ -5,8 +5,6 @@ unpacked once more: libjpeg must not warn of a JPEG, and each strip of a TIFF mu
 many bytes as its rows have.
 """
 
-from __future__ import annotations
-
 import re
 import zlib
 from typing import TypeAlias

@@ -5,20 +5,13 @@ and any decoder first allocates what the header asks for. So both are looked at 
 alone, in the time of a look-up.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Callable
 
-KINDS = "JPEG, PNG, BMP, PNM, TIFF or WebP"
-"""The kinds of image file that are read."""
-
-MAX_SCANS = 64
-"""Of a progressive JPEG: each costs as much time as a whole image, and ten are usual."""
-
-Size = tuple[int, int]
-"""(width, height) in pixels, as stored: before any rotation."""
+KINDS = "JPEG, PNG, BMP, PNM, TIFF or WebP"  # the kinds of image file that are read
+MAX_SCANS = 64  # of a progressive JPEG: each costs as much time as a whole image, and ten are usual
+Size = tuple[int, int]  # (width, height) in pixels, as stored: before any rotation
 
 # A JPEG marker: 0xff and a code. 0xff00 is a 0xff in the picture's data, 0xffff is fill, and the
 # restart markers d0-d7 stand between pieces of that data.

@@ -6,8 +6,6 @@ and the first of the next are neighbours in the list only. Where images were lef
 (`ImageFolder.without`), the others count with the numbers that they had before.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import warnings
@@ -23,20 +21,13 @@ from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.images import digest_of, read_bytes
 from amusic_gym.routes.positions import HALF_TURN, Positions, check_comparable, from_names
 
-METRES = 25.0
-"""Distance within which two images show the same place, as it is customary in this field."""
+METRES = 25.0  # within which two images show the same place, as is customary in this field
 
 
 def by_index(
     reference: ImageFolder, query: ImageFolder, tolerance: int, *, exact: bool = False
 ) -> GroundTruth:
     """Frame q is at place q, ± ``tolerance`` places; in joined folders, part by part.
-
-    Args:
-        reference: the map.
-        query: the run.
-        tolerance: places to either side.
-        exact: whether each part of the run must have as many images as that of the map.
 
     Raises:
         ValueError: when the folders are not joined of the same number of parts, or a part of the
@@ -93,11 +84,9 @@ class Places(Protocol):
     @property
     def path(self) -> Path:
         """Where it is, for messages."""
-        ...
 
     def __len__(self) -> int:
         """R."""
-        ...
 
 
 def by_position(

@@ -8,8 +8,6 @@ the upper eight of the twelve. In a PNM the header's maximum counts, and becomes
 OpenCV's.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import struct
@@ -23,8 +21,7 @@ from amusic_gym.routes.image_headers import KINDS, PNM_MAXIMUM, measure, tiff_ta
 from amusic_gym.techniques.protocol import Image
 from amusic_gym.utils import reading
 
-MAX_PIXELS = 100_000_000
-"""Width times height that is read unless more is asked for: 300 MB once decoded."""
+MAX_PIXELS = 100_000_000  # width times height that is read unless more is asked for: 300 MB
 
 SUFFIXES = tuple(".bmp .jfif .jpe .jpeg .jpg .pbm .pgm .png .pnm .ppm .tif .tiff .webp".split())
 """By which an image file is known in a folder, in lower or upper case."""
@@ -36,8 +33,7 @@ UNREAD_SUFFIXES = tuple(
 """Of images that cannot be read; they are counted and named."""
 
 
-FEW_LEVELS = 64
-"""Grey levels; an image of more than 8 bits that keeps fewer is doubted."""
+FEW_LEVELS = 64  # grey levels; an image of more than 8 bits that keeps fewer is doubted
 
 
 def read_image(path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Image:
@@ -79,11 +75,7 @@ def decode_image(
 
 
 def check_image(data: bytes, what: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS) -> None:
-    """Refuse the bytes of an image file for what can be told without computing its pixels.
-
-    Raises:
-        ValueError: when they are empty, truncated, damaged, too large an image or none.
-    """
+    """Refuse, before any pixel is computed, what is truncated, damaged, too large or no image."""
     from amusic_gym.routes.image_damage import check_jpeg, check_tiff
 
     small = True

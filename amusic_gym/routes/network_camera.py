@@ -1,7 +1,5 @@
 """Frames from a camera on the network, which is opened anew whenever it stops."""
 
-from __future__ import annotations
-
 import threading
 import time
 import warnings
@@ -12,34 +10,19 @@ from amusic_gym.routes.video import Quiet, as_colour
 from amusic_gym.techniques.protocol import Image
 from amusic_gym.utils.names import suggest
 
-SCHEMES = ("http", "https", "rtsp", "rtsps")
-"""Begins of addresses that are a camera's."""
-
-SILENT = 2.0
-"""Seconds without a picture after which that is told."""
-
-PATIENCE = 300.0
-"""Seconds without a picture after which a drive ends."""
-
-PAUSE = 0.5
-"""Seconds between two tries to open it."""
-
-TIMEOUT = 5.0
-"""Seconds that opening and reading may block."""
+SCHEMES = ("http", "https", "rtsp", "rtsps")  # begins of addresses that are a camera's
+SILENT = 2.0  # seconds without a picture after which that is told
+PATIENCE = 300.0  # seconds without a picture after which a drive ends
+PAUSE = 0.5  # seconds between two tries to open it
+TIMEOUT = 5.0  # seconds that opening and reading may block
 
 
 class NetworkCamera:
     """Frame source of a camera's address: a frame is the newest picture since the last one.
 
     A thread of its own reads, so that pictures do not wait while a technique runs, and opens the
-    address anew when it gives none.
-
-    Args:
-        url: the address, of a stream that FFmpeg reads: MJPEG over HTTP, or RTSP.
-
-    Attributes:
-        name: host and path; a password in the address is told nobody.
-        length: None; nobody knows.
+    address anew when it gives none. The address is of a stream that FFmpeg reads: MJPEG over HTTP,
+    or RTSP.
 
     Raises:
         ValueError: for an address of another kind.
@@ -47,13 +30,13 @@ class NetworkCamera:
     """
 
     random_access = False
-    length: int | None = None
+    length: int | None = None  # nobody knows
 
     def __init__(self, url: str) -> None:
         parts = urlsplit(url)
         if parts.scheme not in SCHEMES:
             raise ValueError(suggest("kind of address", parts.scheme, SCHEMES))
-        self.name = f"{parts.hostname}{parts.path}"
+        self.name = f"{parts.hostname}{parts.path}"  # a password in the address is told nobody
         self._url = url
         self._image: Image | None = None
         self._changed = threading.Condition()

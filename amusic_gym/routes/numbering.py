@@ -1,7 +1,5 @@
 """File names of a traverse: their order, and numbers that are missing or used twice."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections import Counter, defaultdict
@@ -10,8 +8,7 @@ from fractions import Fraction
 from itertools import pairwise
 from pathlib import PurePath
 
-GAP = Fraction(3, 2)
-"""A step of so many usual ones leaves a number out."""
+GAP = Fraction(3, 2)  # a step of so many usual ones leaves a number out
 
 HOW = "give the order as a list of names (--order FILE, or order= of ImageFolder)"
 """What to do where names do not tell the order."""
@@ -94,11 +91,7 @@ def _by_folder(paths: Sequence[PurePath]) -> dict[PurePath, list[int]]:
 
 
 def _ordering(stems: Sequence[str]) -> list[str]:
-    """A text for each name of one folder, whose natural order is that of the frames.
-
-    Raises:
-        ValueError: with what is wrong.
-    """
+    """A text for each name of one folder, whose natural order is that of the frames."""
     if len(stems) < 2:
         return list(stems)
     if any(map(_is_position, stems)):

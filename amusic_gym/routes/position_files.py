@@ -1,7 +1,5 @@
 """Positions of images from files: CSV, EXIF, the pose files of TUM and KITTI, and ROS bags."""
 
-from __future__ import annotations
-
 import csv
 import math
 import os
@@ -26,8 +24,7 @@ from amusic_gym.routes.ros_positions import is_bag, read_bag
 from amusic_gym.routes.tracks import Track, heading_of, in_seconds, refuse_missing
 from amusic_gym.utils import reading
 
-EXIF = "exif"
-"""In place of a file: positions that the images' own EXIF data give."""
+EXIF = "exif"  # in place of a file: positions that the images' own EXIF data give
 
 COLUMNS = {
     "name": "name file filename image path image_name",

@@ -21,9 +21,7 @@ from amusic_gym.routes.folders import ImageFolder
 GEOGRAPHIC, PROJECTED, LOCAL = "latitude and longitude", "easting and northing", "x and y"
 """Systems of coordinates; only positions in one and the same can be compared."""
 
-HALF_TURN = 180
-"""Degrees, the largest difference of two headings."""
-
+HALF_TURN = 180  # degrees, the largest difference of two headings
 _STRETCH = 2.0  # a traverse is longer than so many metres, and seldom than as many degrees
 _EQUATOR, _FLATTENING = 6_378_137.0, 1 / 298.257223563  # WGS84: metres of the radius
 
@@ -52,11 +50,7 @@ class Positions:
         return replace(self, metres=self.metres[at], headings=headings)
 
     def joined(self, other: Positions) -> Positions:
-        """These and then the others; headings where both have them.
-
-        Raises:
-            ValueError: where they cannot be compared.
-        """
+        """These and then the others, if comparable; headings where both have them."""
         check_comparable(self, other)
         both = None
         if self.headings is not None and other.headings is not None:
@@ -79,11 +73,7 @@ class Positions:
         return np.asarray(np.abs(turned))
 
     def every(self, metres: float) -> NDArray[np.int64]:
-        """Indices of the first image, and of each next one at least ``metres`` from the last.
-
-        Raises:
-            ValueError: for a distance that is none.
-        """
+        """Indices of the first image and of each next one at least ``metres`` > 0 from the last."""
         if not 0 < metres < math.inf:
             raise ValueError(f"--every-metres is {metres!r}; give a distance above 0")
         taken = [0]
@@ -140,11 +130,7 @@ def in_a_plane(*tracks: Positions) -> list[NDArray[np.float64]]:
 
 
 def check_comparable(here: Positions, there: Positions) -> None:
-    """Refuse positions of different systems or UTM zones, and degrees that stand for metres.
-
-    Raises:
-        ValueError: naming both sources.
-    """
+    """Refuse positions of different systems or UTM zones, and degrees that stand for metres."""
     if here.system != there.system or here.metres.shape[1] != there.metres.shape[1]:
         raise ValueError(
             f"{here.source} gives {here.system}, {there.source} {there.system}: they cannot be"
@@ -161,11 +147,7 @@ def check_comparable(here: Positions, there: Positions) -> None:
 
 
 def from_names(folder: ImageFolder) -> Positions:
-    """Positions in names like @UTM_EAST@UTM_NORTH@ZONE@BAND@...; field 9 is the heading.
-
-    Raises:
-        ValueError: for a name without them.
-    """
+    """Positions in names like @UTM_EAST@UTM_NORTH@ZONE@BAND@...; field 9 is the heading."""
     positions = np.array([_numbers_in(path, (1, 2)) for path in folder.paths])
     headings = np.array([_numbers_in(path, (9,)) for path in folder.paths])[:, 0]
     for path, numbers in zip(folder.paths, positions, strict=True):

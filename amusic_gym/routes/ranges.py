@@ -1,7 +1,5 @@
 """Ranges of the simulator: drawing from them, and refusing bad ones in a sentence."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -22,11 +20,7 @@ def draw_integer(rng: np.random.Generator, limits: tuple[int, int]) -> int:
 
 
 def check_limits(name: str, value: Any, default: Any, least: float, most: float) -> None:
-    """Refuse what is not of the default's kind: a number or a rising pair, within limits.
-
-    Raises:
-        ValueError: naming ``name``, the value and what to give.
-    """
+    """Refuse what is not of the default's kind: a number or a rising pair, within limits."""
     if not isinstance(default, tuple):
         if not isinstance(value, _REAL) or not least <= value <= most:
             raise ValueError(f"{name} is {value!r}; give a number from {least:g} to {most:g}.")

@@ -6,8 +6,6 @@ recording, taken in the order in which a robot that moves otherwise would have s
 at one place never give the very same scores, so every row gets a little noise of its own.
 """
 
-from __future__ import annotations
-
 import os
 import zlib
 from collections.abc import Iterator
@@ -24,32 +22,19 @@ from amusic_gym.routes.motion import JUMP, KIDNAPPED, PACED, walk
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import suggest
 
-__all__ = ["RETIMINGS", "retime", "retimed_frames", "retimed_truth", "save_retimed"]
-
-RETIMINGS = (PACED, KIDNAPPED)
-"""The motions that a recording can be re-timed by; see `amusic_gym.routes.motion`."""
-
-NOISE = 0.1
-"""Standard deviation of the noise on a row, as a share of the row's own."""
-
+RETIMINGS = (PACED, KIDNAPPED)  # motions that a recording can be re-timed by; see `routes.motion`
+NOISE = 0.1  # standard deviation of the noise on a row, as a share of the row's own
 _BLOCK = 64  # rows that `save_retimed` holds in memory at a time
 
 
 def retimed_frames(
     queries: int, rng: np.random.Generator, motion: str = KIDNAPPED
 ) -> NDArray[np.int64]:
-    """Which frame of a recording the robot sees at each frame of its re-timed drive.
+    """(Q,) int64 frames in [0, Q) of a recording that the robot sees on its re-timed drive.
 
     ⌊p⌋ of `amusic_gym.routes.motion.walk` over the recording's frames, for as many frames as the
-    recording has; ``kidnapped`` is ``paced`` with jumps to any frame, each equally likely.
-
-    Args:
-        queries: Q, frames of the recording, at least 1.
-        rng: the only source of chance.
-        motion: ``paced`` or ``kidnapped``.
-
-    Returns:
-        (Q,) int64 frames in [0, Q); the first is 0.
+    recording has; ``kidnapped`` is ``paced`` with jumps to any frame, each equally likely. ``rng``
+    is the only source of chance. The first frame is 0.
 
     Raises:
         ValueError: for anything but a whole number of at least 1, or for another motion.

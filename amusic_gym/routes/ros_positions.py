@@ -1,7 +1,5 @@
 """Positions in ROS bags, of ROS 1 and 2 (MCAP or SQLite), by the optional package rosbags."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any
@@ -12,9 +10,7 @@ from amusic_gym.routes.positions import GEOGRAPHIC, LOCAL, Positions, from_degre
 from amusic_gym.routes.tracks import Track, heading_of
 from amusic_gym.utils.optional import optional
 
-SUFFIXES = (".bag", ".mcap", ".db3")
-"""Of bags that are files; a bag of ROS 2 is a folder with a ``metadata.yaml``."""
-
+SUFFIXES = (".bag", ".mcap", ".db3")  # of files; ROS 2 has folders with a ``metadata.yaml``, too
 FIXES = "sensor_msgs/msg/NavSatFix"
 POSES = {
     "nav_msgs/msg/Odometry": lambda message: message.pose.pose,
@@ -33,8 +29,7 @@ def is_bag(source: str | os.PathLike[str]) -> bool:
 def read_bag(source: str | os.PathLike[str]) -> Track:
     """Positions of a bag's topic, by the time stamps of their headers; those without fix are left.
 
-    Args:
-        source: the bag, and behind a colon the topic, where it has several with positions.
+    ``source`` is the bag, with the topic behind a colon where several have positions.
 
     Raises:
         FileNotFoundError: when there is no such bag.

@@ -1,7 +1,5 @@
 """The model of a simulated route: the drive, the conditions, repeated and bland places, decoys."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,18 +39,10 @@ def decoys(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Wrong positions that images look like for a spell, one that techniques share among them.
 
-    In each spell a technique has a decoy with a chance; it is the spell's shared one, or its own. A
-    decoy moves along with the robot, or stays where it is.
-
-    Args:
-        rng: the source of chance.
-        place: (Q,) true positions.
-        spell: (Q,) number of each frame's spell.
-        references: R.
-        techniques: T.
-        chance: that a technique has a decoy in a spell.
-        shared: chance that it is the shared one.
-        strength: range of how much of a technique's noise looks like its decoy.
+    In each spell a technique has a decoy with a ``chance``; it is the spell's shared one, by the
+    chance ``shared``, or its own. A decoy moves along with the robot, or stays where it is.
+    ``place`` (Q,) are the true positions, ``spell`` (Q,) numbers each frame's; ``strength`` is the
+    range of how much of a technique's noise looks like its decoy.
 
     Returns:
         (T, Q) positions and (T, Q) strengths, 0 where there is none.

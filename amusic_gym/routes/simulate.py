@@ -13,8 +13,6 @@ A score is the cosine of the two, bent and scaled so that techniques have ranges
 `docs/simulation.md` compares the outcome with real recordings.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, fields, replace
 from math import inf
@@ -129,7 +127,6 @@ class Simulation:
     scale: Range = _within(1e-6, 1e6, (0.005, 0.07))
 
     def __post_init__(self) -> None:
-        """Refuse what no route can be drawn from."""
         for each in fields(self):
             if each.metadata:
                 check_limits(each.name, getattr(self, each.name), each.default, **each.metadata)
@@ -145,11 +142,6 @@ class Simulation:
                 f"{self.queries[1]} queries needs at least as many places; raise it or use "
                 "motion='paced'."
             )
-
-    @property
-    def most_techniques(self) -> int:
-        """Largest number of techniques that a route may have."""
-        return self.techniques[1]
 
     def route(self, rng: np.random.Generator, *, name: str = "simulated") -> ScoreBank:
         """Draw one route: a bank of (T, Q, R) scores that depends on `rng` alone."""
@@ -199,10 +191,7 @@ class Simulation:
     def _drive(
         self, rng: np.random.Generator, queries: int, references: int
     ) -> NDArray[np.float64]:
-        """Position of each frame, in places, from 0 to R - 1.
-
-        Where it is not as recorded, the drive begins anywhere in the first half of the map.
-        """
+        """(Q,) places from 0 to R - 1; unless as recorded, from the first half of the map on."""
         if self.motion == RECORDED:
             first = rng.integers(references - queries + 1)
             return first + np.arange(queries, dtype=np.float64)
@@ -220,11 +209,7 @@ class Simulation:
     def _seen(
         self, rng: np.random.Generator, place: NDArray[np.float64], references: int
     ) -> NDArray[np.float64]:
-        """Positions (Q,) that the images look like.
-
-        Two drives along a route never keep step: their frames are paired by a truth that allows
-        for it, and what looks most alike lies a little ahead of the true place or behind it.
-        """
+        """(Q,) positions that the images look like: two drives never keep step."""
         off = smooth(rng, place.size, 1, draw(rng, self.wander_memory))[:, 0]
         return (place + draw(rng, self.wander) * off).clip(0.0, references - 1.0)
 

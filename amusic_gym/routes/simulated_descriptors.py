@@ -1,7 +1,5 @@
 """Descriptors of a simulated route's places and frames, and the scores of one technique."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -76,14 +74,9 @@ def write_scores(
     technique: int,
     out: Floats,
 ) -> None:
-    """Scores of one technique: descriptors of map and query, cosine, bend, scale.
+    """Scores of technique number ``technique`` into ``out`` (Q, R) float32.
 
-    Args:
-        rng: the source of chance.
-        route: what all techniques share, on Q frames, R places and C conditions.
-        model: how this one sees it.
-        technique: its number on the route.
-        out: (Q, R) float32, written to.
+    Descriptors of map and query, cosine, bend, scale.
     """
     queries, references = out.shape
     size, competence = model.dimensions, route.competence[technique]

@@ -1,7 +1,5 @@
 """Statistics of a score matrix, to compare simulated routes with real recordings."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np
@@ -40,10 +38,7 @@ def describe(
 ) -> dict[str, float]:
     """The measures of one technique's matrix; nan where a route is too short to have one.
 
-    Args:
-        bank: the route.
-        technique: index t.
-        predictions: places (Q,) where the technique alone runs, by statistic.
+    ``predictions``: places (Q,) where the technique alone runs, by statistic.
     """
     scores = bank.scores[technique].astype(np.float64)  # (Q, R)
     z = _standardised(scores)

@@ -8,8 +8,6 @@ Nothing is decoded before it is asked for, and a condition is applied when its i
 tour takes no more memory than its file names.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -27,15 +25,9 @@ from amusic_gym.routes.route_model import no_repeats
 from amusic_gym.utils import storage
 from amusic_gym.utils.checks import whole
 
-SHORTEST, LONGEST = 40, 80
-"""Frames of a spell; the last one ends with the tour and may be shorter."""
-
-SPELLS = "segments.json"
-"""File of the spells in a folder of `write_tour`."""
-
-REFERENCE, QUERY = "reference", "query"
-"""Folders of the images in a folder of `write_tour`."""
-
+SHORTEST, LONGEST = 40, 80  # frames of a spell; the last one ends with the tour and may be shorter
+SPELLS = "segments.json"  # file of the spells in a folder of `write_tour`
+REFERENCE, QUERY = "reference", "query"  # folders of the images in a folder of `write_tour`
 Folder = ImageFolder | str | os.PathLike[str]
 
 
@@ -61,11 +53,7 @@ class Tour:
     names: tuple[str, ...] = field(repr=False)  # of each part, its folders
 
     def ground_truth(self, tolerance: int) -> GroundTruth:
-        """Frame q is at place q, ± ``tolerance`` places, but never in another part.
-
-        Raises:
-            ValueError: for a tolerance that is no whole number of at least 0.
-        """
+        """Frame q is at place q, ± ``tolerance`` places (>= 0), but never in another part."""
         return by_index(self.reference, self.query, tolerance)
 
     @property
@@ -122,15 +110,9 @@ def make_tour(
 
 
 def spells_in(source: str) -> tuple[Spell, ...]:
-    """The spells of the tour that a bank was made of, from its ``source``.
+    """The spells of the tour that a bank was made of, from its ``source``; refuses any other.
 
     Of a re-timed bank they are those of the recording.
-
-    Args:
-        source: `ScoreBank.source`.
-
-    Raises:
-        ValueError: when it is no tour's.
     """
     found = re.search(r"\btour: .*; spells: (0 .+)", source)
     if found is None:
@@ -140,11 +122,7 @@ def spells_in(source: str) -> tuple[Spell, ...]:
 
 
 def check_destination(out: str | os.PathLike[str]) -> None:
-    """Refuse a folder that :func:`write_tour` would refuse, before long work is begun.
-
-    Raises:
-        ValueError: when it holds anything but the images of a tour.
-    """
+    """Refuse a folder that :func:`write_tour` would refuse, before long work is begun."""
     storage.refuse_to_replace_others(Path(os.path.realpath(out)), SPELLS, _WRITTEN)
 
 

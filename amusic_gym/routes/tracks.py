@@ -1,7 +1,5 @@
 """Positions as a file lists them, and those of images and frames between them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,9 +14,7 @@ from amusic_gym.routes.folders import ImageFolder
 from amusic_gym.routes.positions import Positions
 from amusic_gym.utils.names import few
 
-GAP = 1.0
-"""Seconds that an image may be taken before or after the nearest position in time."""
-
+GAP = 1.0  # seconds that an image may be taken before or after the nearest position in time
 Floats = NDArray[np.float64]
 
 _NAMED = 3  # images that a refusal names before it only counts

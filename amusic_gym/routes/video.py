@@ -1,7 +1,5 @@
 """Frames from video files and cameras, and videos written whole."""
 
-from __future__ import annotations
-
 import math
 import os
 import time
@@ -22,12 +20,8 @@ from amusic_gym.utils.names import suggest
 CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 """Suffix of a video to write → its codec; both are in every build of OpenCV."""
 
-HIGHEST_CAMERA = 2**31 - 1
-"""OpenCV takes no larger number."""
-
-TRIES = 5
-"""Failures in a row after which a camera, or a video with all its frames, is at its end."""
-
+HIGHEST_CAMERA = 2**31 - 1  # OpenCV takes no larger number
+TRIES = 5  # failures in a row after which a camera, or a video with all its frames, is at its end
 _MOST_TRIES = 10_000  # of a video that announces more frames
 _PAUSE = 0.02  # seconds between two tries of a camera
 _JITTER = 1e-3  # seconds by which a frame may come before its time
@@ -48,7 +42,6 @@ class VideoFile:
         fps: take so many frames per second of the video, by their time stamps; None: all.
 
     Attributes:
-        path: the file.
         name: the file's name without its suffix.
         length: number of frames that are taken, None while it is not known.
         number: of the last frame that was read, among all in the file; -1 before the first.
@@ -117,11 +110,7 @@ class VideoFile:
             raise ValueError(f"{self.path} {what}; give a video such as .mp4 or .avi")
 
     def read(self, frame: int) -> Image | None:
-        """A frame that was not read since the last :meth:`rewind`; None after the last.
-
-        Raises:
-            ValueError: for a frame that has gone by.
-        """
+        """A frame that has not gone by since the last :meth:`rewind`; None after the last."""
         if frame < self._next:
             raise ValueError(
                 f"video {self.path}: frame {frame} has gone by, a video is read forwards; rewind()"
@@ -201,15 +190,7 @@ def _refuse_playlists(path: Path) -> None:
 
 
 class Camera:
-    """Frame source of a camera: a frame is what it sees at the moment of asking.
-
-    Args:
-        number: of the camera, from 0.
-
-    Attributes:
-        number: of the camera.
-        name: ``"camera 0"`` and so on.
-        length: None; nobody knows.
+    """Frame source of a camera, by its number from 0: a frame is what it sees when it is asked.
 
     Raises:
         ValueError: for a number that no camera can have.
@@ -217,7 +198,7 @@ class Camera:
     """
 
     random_access = False
-    length: int | None = None
+    length: int | None = None  # nobody knows
 
     def __init__(self, number: int) -> None:
         import cv2

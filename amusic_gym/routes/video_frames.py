@@ -1,7 +1,5 @@
 """Videos as traverses: the frames that are taken, as files that can be read in any order."""
 
-from __future__ import annotations
-
 import math
 import os
 import tempfile

@@ -5,8 +5,6 @@ Adding one: a file with its class, one line in ``TECHNIQUES``, one test. From ou
 named.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import importlib.util
@@ -157,11 +155,7 @@ def _factory(name: str) -> Factory:
 
 
 def _look_here(module: str) -> None:
-    """Let a module of the current directory be found, after all others.
-
-    A script has its own folder on the path in place of the current one. The latter stays there,
-    so that workers, which get the path, find the module too.
-    """
+    """Let a module of the current directory be found, after all others, also by workers."""
     top = module.partition(".")[0]
     with contextlib.suppress(OSError, ImportError, ValueError):
         here = os.getcwd()

@@ -1,23 +1,18 @@
 """The loops over pixels of CoHOG's description, compiled."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.kernels.compiling import without_gil
 
-RADIUS = 5
-"""Of the disk around a pixel: all pixels at most so far away, centre to centre."""
+RADIUS = 5  # of the disk around a pixel: all pixels at most so far away, centre to centre
 
 
 @without_gil
 def local_entropy(grey: NDArray[np.uint8], entropy: NDArray[np.float64]) -> None:
-    """Entropy in bits of the grey values within ``RADIUS`` of each pixel and inside the image.
+    """Fill ``entropy`` (H, W) float64, in bits, of the ``grey`` values (H, W) around each pixel.
 
-    Args:
-        grey: (H, W) uint8.
-        entropy: (H, W) float64, to fill.
+    Those within ``RADIUS`` and inside the image.
     """
     height, width = grey.shape
     reach = np.zeros(RADIUS + 1, np.int64)  # how far the disk goes sideways, per row from its own
@@ -50,12 +45,10 @@ def local_entropy(grey: NDArray[np.uint8], entropy: NDArray[np.float64]) -> None
 def add_directions(
     strength: NDArray[np.float32], turn: NDArray[np.float32], cells: NDArray[np.float64]
 ) -> None:
-    """Share each pixel's strength between the two bins that are next to its direction.
+    """Share each pixel's strength (H, W) between the two bins that are next to its direction.
 
-    Args:
-        strength: (H, W) float32.
-        turn: (H, W) float32, its direction in bins: 0 to B, both ends the same.
-        cells: (R, B, C) float64 to add to: row of cells, bin, column. H / R pixels make a cell.
+    ``turn`` (H, W) is in bins: 0 to B, both ends the same. ``cells`` (R, B, C), to add to: row of
+    cells, bin, column; H / R pixels make a cell.
     """
     rows, bins, columns = cells.shape
     height, width = strength.shape[0] // rows, strength.shape[1] // columns

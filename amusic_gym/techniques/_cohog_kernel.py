@@ -11,8 +11,6 @@ which stay in the processor's nearest memory. 61 such walks, one per distance be
 visit all pairs of rows of regions.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,15 +29,9 @@ from amusic_gym.kernels.lanes import (
     zeros,
 )
 
-SIDE = 32
-"""Cells per row, and rows of cells, of an image."""
-
-BINS = 8
-"""Directions per cell."""
-
-ROW = (BINS + 1) * SIDE
-"""Numbers per row of cells in a descriptor: its bins, then a number per region."""
-
+SIDE = 32  # cells per row, and rows of cells, of an image
+BINS = 8  # directions per cell
+ROW = (BINS + 1) * SIDE  # numbers per row of cells in a descriptor: its bins, then one per region
 Floats = NDArray[np.float32]
 Integers = NDArray[np.int64]
 
@@ -49,12 +41,10 @@ _REGIONS = SIDE - 1  # per row, and rows of them
 
 @inner
 def _list_runs(query: Floats, runs: Integers) -> None:
-    """List the pairs that the query's regions of interest need, row of cells by row of cells.
+    """List the pairs that the query (SIDE · ROW,) needs, row of cells by row of cells.
 
-    Args:
-        query: (SIDE · ROW,) its weights are above 0 for regions of interest.
-        runs: (SIDE, 1 + SIDE), to fill: how many runs of neighbouring pairs, then the first cell
-            of each run and the cell after its last pair's first.
+    To ``runs`` (SIDE, 1 + SIDE): how many runs of neighbouring pairs, then of each run the first
+    cell and the cell after its last pair's first.
     """
     for y in range(SIDE):
         count = 0
@@ -73,17 +63,10 @@ def _list_runs(query: Floats, runs: Integers) -> None:
 def _multiply_rows(
     query: Floats, q: int, reference: Floats, r: int, runs: Integers, products: Floats
 ) -> None:
-    """Dot products of a row of the query's cells with a row of the reference's.
+    """Dot products of a row of the query's cells, at ``q``, with one of the reference's, at ``r``.
 
-    Two cells of the query at once: 2 · 4 sums of eight lanes stay in registers.
-
-    Args:
-        query: (SIDE · ROW,)
-        q: where the query's row begins.
-        reference: descriptor, and ``r`` where its row begins.
-        r: see there.
-        runs: the pairs that are needed; see :func:`_list_runs`.
-        products: to fill; (SIDE, SIDE) query's cell, reference's cell, flat.
+    ``products`` (SIDE · SIDE,) takes them, for the pairs ``runs``, see :func:`_list_runs`. Two
+    cells of the query at once: 2 · 4 sums of eight lanes stay in registers.
     """
     for run in range(runs[0]):
         begin = runs[2 * run + 1]
@@ -137,14 +120,10 @@ def _fold_rows(
 ) -> None:
     """Add products up to regions, and keep the greatest similarity of each region of the query.
 
-    Args:
-        products: (SIDE, SIDE) of a row of cells of each, flat.
-        runs: the pairs that are needed; see :func:`_list_runs`.
-        pairs: (SIDE, SIDE), of the row of cells above, flat; replaced by this row's.
-        reference: descriptor, and ``lengths`` where the inverse lengths of the row of regions are.
-        lengths: see there.
-        best: (regions of the query, LANES), flat; greatest so far, before the query's own length.
-        first: the query's first region in this row.
+    ``products`` and ``pairs`` are (SIDE, SIDE), flat; the latter, of the row of cells above, become
+    this row's. At ``lengths`` the reference has the inverse lengths of the row of regions.
+    ``best`` (regions of the query, LANES), flat, is before the query's own length; ``first`` is
+    its first region in this row.
     """
     n0 = load(reference, lengths)
     n1 = load(reference, lengths + LANES)

@@ -1,7 +1,5 @@
 """AMOSNet and HybridNet: networks that learned to tell places apart (Chen et al. 2017)."""
 
-from __future__ import annotations
-
 import hashlib
 from functools import partial
 from pathlib import Path
@@ -20,11 +18,8 @@ from amusic_gym.techniques.protocol import Descriptor, Image, Parameters, Techni
 from amusic_gym.techniques.weight_files import read_weights
 from amusic_gym.utils.reading import read_array
 
-SIZE = 227
-"""Width and height of the input in pixels."""
-
-MEAN = (121.50, 122.37, 121.26)
-"""Mean blue, green and red of the authors' training images."""
+SIZE = 227  # width and height of the input in pixels
+MEAN = (121.50, 122.37, 121.26)  # mean blue, green and red of the authors' training images
 
 CELLS = (
     ((0, 13),),
@@ -38,8 +33,7 @@ As VPR-Bench cuts them: the ends are left out, so that rows and columns between 
 one, belong to the first level only.
 """
 
-SCALE = 65536.0
-"""Distance at which the similarity is 0."""
+SCALE = 65536.0  # distance at which the similarity is 0
 
 
 class PlaceNetwork(nn.Module):

@@ -3,8 +3,6 @@
 What the file does not say stands in a :mod:`recipe <amusic_gym.techniques.recipe>` beside it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import io
@@ -27,24 +25,15 @@ from amusic_gym.utils.reading import open_file
 
 RECIPES = Path(__file__).parent / "recipes"
 DEVICES = ("cpu", "cuda")
-BATCH = 16
-"""Images that a GPU describes at once."""
-
-Run = Callable[[torch.Tensor], Any]
-"""(B, 3, H, W) -> a network's outputs."""
+BATCH = 16  # images that a GPU describes at once
+Run = Callable[[torch.Tensor], Any]  # (B, 3, H, W) -> a network's outputs
 
 
 class _Network(Technique):
-    """A network behind a recipe.
+    """A network behind a recipe; ``argument`` stands behind the technique's name.
 
-    Args:
-        argument: what stands behind the technique's name.
-        device: ``"cpu"`` or ``"cuda"``; descriptors of the two differ in their last digits.
-        trust: whether foreign code may run, where there is some.
-
-    Raises:
-        FileNotFoundError: when a file or the recipe is not there.
-        ValueError: for another device, a file that is no network, or a recipe that does not fit.
+    Descriptors of the devices ``"cpu"`` and ``"cuda"`` differ in their last digits. ``trust``:
+    whether foreign code may run.
     """
 
     def __init__(self, argument: str, device: str = "cpu", trust: bool = False) -> None:

@@ -1,7 +1,5 @@
 """Settings behind a technique's name: ``effnet:10``, ``effnet-rmac:block=12:whole=yes``."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from amusic_gym.utils.names import suggest

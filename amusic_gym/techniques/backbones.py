@@ -10,8 +10,6 @@ torchvision's ``vgg16-….pth``
 ==========================================  =======================  ==========================
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 
@@ -31,9 +29,7 @@ from amusic_gym.techniques.preparation import Preparation, Triple, check_image
 from amusic_gym.techniques.protocol import Image
 from amusic_gym.techniques.weight_files import WeightFile
 
-LEAST = 96
-"""Pixels that a side has at least: smaller ones are enlarged, or pooling would leave nothing."""
-
+LEAST = 96  # pixels of a side: smaller ones are enlarged, or pooling would leave nothing
 _FIRST_VGG16 = "layers.28.weights.0"
 _FIRST_ALEXNET = "layers.12.weights.0"
 
@@ -48,11 +44,7 @@ class Backbone:
     deviation: Triple  # of red, green and blue in 0–255; divides
 
     def features(self, image: Image) -> Tensor:
-        """Feature map (1, C, h, w) of an image in its own size.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """Feature map (1, C, h, w) of an image in its own size; refuses what is no image."""
         check_image(image)
         height, width = (max(n, LEAST) for n in image.shape[:2])
         prepared = Preparation(width, height, self.mean, self.deviation, "linear").apply(image)
@@ -62,11 +54,7 @@ class Backbone:
 
 
 def load_backbone(file: WeightFile) -> Backbone:
-    """VGG16 or AlexNet with a file's weights.
-
-    Raises:
-        ValueError: naming the first layer that is missing, of another shape, or not finite.
-    """
+    """VGG16 or AlexNet with a file's weights; refuses the first layer that does not fit."""
     plain = (1.0, 1.0, 1.0)
     part = file.under(_FIRST_VGG16)
     if part is not None:

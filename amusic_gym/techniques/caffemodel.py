@@ -1,7 +1,5 @@
 """Arrays of a ``.caffemodel``: the protocol buffer of a Caffe network, without Caffe."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

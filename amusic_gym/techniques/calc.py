@@ -1,7 +1,5 @@
 """CALC: a convolutional auto-encoder that learned to give HOG from warped images (Merrill 2018)."""
 
-from __future__ import annotations
-
 import warnings
 from functools import partial
 from pathlib import Path
@@ -54,11 +52,7 @@ class CALC(Technique):
 
 
 def load_calc(file: WeightFile) -> CALCEncoder:
-    """The encoder with a file's weights, ready for use.
-
-    Raises:
-        ValueError: naming the first layer that is missing, of another shape, or not finite.
-    """
+    """The encoder with a file's weights; refuses the first layer that does not fit."""
     file.description(CALC.name)  # refuses what another technique saved
     part = file.part(CALC.name, "conv1.weight")
     if FLOOR_POOLING in file.metadata:

@@ -5,8 +5,6 @@ neighbours to the right and below: 31×31 = 961 regions that overlap. A region's
 cells' histograms of 8 directions, scaled to length 1.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -16,20 +14,11 @@ from amusic_gym.techniques._cohog_kernel import BINS, SIDE, match_regions
 from amusic_gym.techniques.preparation import check_image
 from amusic_gym.techniques.protocol import Descriptor, Image, Parameters, Technique
 
-CELL = 16
-"""Width and height of a cell in pixels."""
-
-SIZE = SIDE * CELL
-"""Width and height that images are brought to, in pixels: 512."""
-
-ENTROPY_SIZE = 100
-"""Width and height of the image in which entropy is measured, in pixels."""
-
-INTEREST = 0.4
-"""Least entropy of a region of interest, as a share of the 8 bits of a grey value."""
-
-SHAPE = (SIDE, BINS + 1, SIDE)
-"""Of a descriptor: row of cells, bin, column; where a ninth bin would be, a number per region."""
+CELL = 16  # width and height of a cell in pixels
+SIZE = SIDE * CELL  # width and height that images are brought to, in pixels: 512
+ENTROPY_SIZE = 100  # width and height of the image in which entropy is measured, in pixels
+INTEREST = 0.4  # least entropy of a region of interest, as a share of the 8 bits of a grey value
+SHAPE = (SIDE, BINS + 1, SIDE)  # row of cells, bin (the ninth: a number per region), column
 
 
 class CoHOG(Technique):

@@ -4,8 +4,6 @@ The weights are an optional part: a package of the registry that holds nothing e
 without being imported, so no code of it runs.
 """
 
-from __future__ import annotations
-
 import importlib.util
 from functools import partial
 from pathlib import Path
@@ -88,11 +86,7 @@ class _Block(nn.Module):
 
 
 class EfficientNetLite0(nn.Module):
-    """EfficientNet-Lite0 up to a block, without the classifier.
-
-    Args:
-        block: the last block, 0 to 15.
-    """
+    """EfficientNet-Lite0 up to a block, 0 to 15, without the classifier."""
 
     def __init__(self, block: int = LAST_BLOCK) -> None:
         super().__init__()
@@ -113,11 +107,7 @@ class EfficientNetLite0(nn.Module):
 
 
 def _installed() -> WeightFile:
-    """The weights of the optional part.
-
-    Raises:
-        ValueError: when it is not installed, or its file is another.
-    """
+    """The weights of the optional part; refused where it is not installed, or has another file."""
     found = importlib.util.find_spec(PACKAGE)
     places = found.submodule_search_locations if found else None
     if not places:

@@ -1,7 +1,5 @@
 """FAB-MAP: which words places show, and how probable that makes them (Cummins and Newman 2008)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2
@@ -13,12 +11,8 @@ from amusic_gym.techniques.preparation import check_image
 from amusic_gym.techniques.protocol import Descriptor, Image, Parameters, Technique
 from amusic_gym.techniques.weight_files import read_weights
 
-SIDE = 480
-"""Pixels of the longer side that features are looked for in."""
-
-LENGTH = 128
-"""Numbers of a local feature."""
-
+SIDE = 480  # pixels of the longer side that features are looked for in
+LENGTH = 128  # numbers of a local feature
 _LEAST = 16  # pixels of the shorter side
 
 

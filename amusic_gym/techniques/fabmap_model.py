@@ -15,18 +15,10 @@ from numpy.typing import NDArray
 
 from amusic_gym.techniques.weight_files import WeightFile, write_weights
 
-P_SEEN = 0.39
-"""Probability that a word that is there is seen; one that is not there never is."""
-
-LEAST_INFORMATION = 0.0005
-"""Mutual information, in nats, below which two words are not joined."""
-
-SMOOTHING = 0.98
-"""Share of an observed frequency in a probability; the rest is spread on both values."""
-
-NEVER = 1e-300
-"""Stands for probability 0 in a logarithm."""
-
+P_SEEN = 0.39  # probability that a word that is there is seen; one that is not there never is
+LEAST_INFORMATION = 0.0005  # mutual information, in nats, below which two words are not joined
+SMOOTHING = 0.98  # share of an observed frequency in a probability; the rest is spread evenly
+NEVER = 1e-300  # stands for probability 0 in a logarithm
 TECHNIQUE = "FAB-MAP"
 
 Floats = NDArray[np.float64]
@@ -44,12 +36,9 @@ class ChowLiuTree:
 
     @classmethod
     def learn(cls, seen: Bools) -> ChowLiuTree:
-        """The tree of most mutual information (Chow and Liu 1968).
+        """The tree of most mutual information (Chow and Liu 1968) of words (N, V) that images show.
 
         Words without an edge of ``LEAST_INFORMATION`` are roots.
-
-        Args:
-            seen: (N, V) whether an image shows a word.
 
         Raises:
             ValueError: for no image or no word.
@@ -68,17 +57,11 @@ class ChowLiuTree:
         return cls(parent, p, np.where(roots, p, p1), np.where(roots, p, p0))
 
     def likelihood_terms(self, seen: Bools) -> tuple[Floats, float]:
-        """A query's log-likelihoods of places as a linear function of their words.
+        """A query's log-likelihoods of places as a linear function: (V,) weights and the constant.
 
         Each term of the likelihood depends on one word of the place, so that
         log P(z | L) = weights · L + constant exactly. FAB-MAP 2's inverted index is the same less
         the constant.
-
-        Args:
-            seen: (V,) the query's words.
-
-        Returns:
-            (V,) weights and the constant.
         """
         there, not_there = self._observation(seen)
         unseen_place = (1 - P_SEEN) * self.p
@@ -104,22 +87,14 @@ class ChowLiuTree:
         return observed(P_SEEN), observed(0.0)
 
     def save(self, path: str | Path, vocabulary: NDArray[np.float32], training: str) -> Path:
-        """Write tree and vocabulary (V, D), whole or not at all, as safetensors.
-
-        Raises:
-            ValueError: for another ending of the name.
-        """
+        """Write tree and vocabulary (V, D), whole or not at all, to a name in ``.safetensors``."""
         arrays = {"parent": self.parent.astype(np.float64), "p": self.p, "p1": self.p1}
         arrays |= {"p0": self.p0, "vocabulary": vocabulary.astype(np.float32)}
         return write_weights(path, arrays, {"technique": TECHNIQUE, "training": training})
 
     @classmethod
     def read(cls, file: WeightFile, length: int) -> tuple[ChowLiuTree, NDArray[np.float32]]:
-        """Tree and vocabulary (V, ``length``) of a file.
-
-        Raises:
-            ValueError: for a file of something else, or one that is damaged.
-        """
+        """Tree and vocabulary (V, ``length``) of a file; refuses one of something else."""
         file.description(TECHNIQUE)
         vocabulary = file.layer(TECHNIQUE, "vocabulary", None, length)
         words = len(vocabulary)

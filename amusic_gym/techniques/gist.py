@@ -1,7 +1,5 @@
 """GIST: energies of Gabor filters on a coarse grid (Oliva and Torralba, 2001)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 
@@ -12,26 +10,16 @@ from numpy.typing import NDArray
 from amusic_gym.techniques.preparation import check_image
 from amusic_gym.techniques.protocol import Descriptor, Image, Parameters, Technique
 
-BLOCKS = 4
-"""Rows and columns of the grid over which energies are averaged."""
-
-PREFILTER = 4.0
-"""Cycles per image below which the prefilter takes contrast away."""
-
-MARGIN = 5
-"""Pixels that the prefilter's input is mirrored by."""
-
+BLOCKS = 4  # rows and columns of the grid over which energies are averaged
+PREFILTER = 4.0  # cycles per image below which the prefilter takes contrast away
+MARGIN = 5  # pixels that the prefilter's input is mirrored by
 Floats = NDArray[np.float64]
 
 
 class _GIST(Technique):
-    """What both forms of GIST share.
+    """What both forms of GIST share."""
 
-    Attributes:
-        orientations: filters of each scale, fine to coarse.
-    """
-
-    orientations: tuple[int, ...]
+    orientations: tuple[int, ...]  # filters of each scale, fine to coarse
 
     def parameters(self) -> Parameters:
         """Grid, prefilter and orientations."""
@@ -115,13 +103,10 @@ def prefiltered(channels: Floats) -> Floats:
 def energies(
     channels: Floats, orientations: tuple[int, ...], *, blocks: int = BLOCKS, pad: int = 0
 ) -> Descriptor:
-    """Mean responses of Gabor filters in a grid of blocks.
+    """Mean responses of Gabor filters in a grid of blocks to :func:`prefiltered` (C, H, W).
 
-    Args:
-        channels: (C, H, W), :func:`prefiltered`.
-        orientations: filters of each scale, fine to coarse.
-        blocks: rows and columns of the grid.
-        pad: pixels by which the borders are mirrored.
+    ``orientations`` are the filters of each scale, fine to coarse; borders are mirrored by ``pad``
+    pixels.
 
     Returns:
         (C · filters · blocks²,): channel slowest, then filter, then column, then row of the grid.

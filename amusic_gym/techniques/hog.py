@@ -1,24 +1,15 @@
 """HOG: histograms of gradient directions over the whole image (Dalal and Triggs, 2005)."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 
 from amusic_gym.techniques.preparation import check_image
 from amusic_gym.techniques.protocol import Descriptor, Image, Parameters, Technique
 
-SIZE = 512
-"""Width and height that images are brought to, in pixels."""
-
-CELL = 16
-"""Width and height of a cell, and of a block: blocks of one cell."""
-
-STRIDE = 8
-"""Pixels from one block to the next, so that blocks overlap."""
-
-BINS = 9
-"""Directions of 20° each; a gradient and its opposite are the same."""
+SIZE = 512  # width and height that images are brought to, in pixels
+CELL = 16  # width and height of a cell, and of a block: blocks of one cell
+STRIDE = 8  # pixels from one block to the next, so that blocks overlap
+BINS = 9  # directions of 20° each; a gradient and its opposite are the same
 
 
 class HOG(Technique):

@@ -4,8 +4,6 @@ SciPy's reader trusts a file's sizes, and a damaged one can end the process. Her
 what holds no weights (texts, whole numbers, sparse matrices, objects) is skipped.
 """
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections.abc import Iterator
@@ -23,9 +21,7 @@ NUMBERS = {
 """Type of an element → how NumPy calls its numbers."""
 
 CELL, STRUCT = 1, 2
-FLOATS = {6: "f8", 7: "f4"}
-"""Class of a matrix → its numbers; whole ones may be stored in fewer bytes."""
-
+FLOATS = {6: "f8", 7: "f4"}  # class of a matrix → numbers; whole ones may be stored in fewer bytes
 COMPLEX = 0x800
 DEEPEST = 20
 PIECE = 1 << 20
@@ -40,12 +36,9 @@ def read_matfile(data: bytes, most: int) -> dict[str, Any]:
 
     A structure or a cell of one item is the item. What else there is, is None.
 
-    Args:
-        data: the file.
-        most: bytes that its contents may have.
-
     Raises:
-        ValueError: when the bytes are no such file, `TooLargeError` for too many.
+        ValueError: when the bytes are no such file; `TooLargeError` for contents of more than
+            ``most`` bytes.
     """
     if data[126:HEADER] not in (b"IM", b"MI"):
         raise ValueError("no MATLAB file of level 5")

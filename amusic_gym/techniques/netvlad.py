@@ -1,7 +1,5 @@
 """NetVLAD: convolutional features, aggregated as residuals to visual words (Arandjelović 2016)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch

@@ -17,8 +17,6 @@ deep-vg-benchmark, OpenVPRLab     ``aggregation`` (or ``aggregation.0``, with kÂ
 The whitening's columns are in the family's order, so an order goes with its whitening only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -46,8 +44,7 @@ MATLAB_NAMES = {
 PUBLIC_INPUT = Preparation(width=640, height=480, interpolation="cubic")
 """Input for public weights; mean and deviation are ImageNet's, the family's, or the file's."""
 
-OPENIBL_COLOURS = ((123.68, 116.779, 103.939), (1.0, 1.0, 1.0))
-"""Mean and deviation that OpenIBL's weights expect."""
+OPENIBL_COLOURS = ((123.68, 116.779, 103.939), (1.0, 1.0, 1.0))  # mean, deviation
 
 PYTORCH = (
     ("pool", "encoder", "WPCA.0"),
@@ -70,11 +67,7 @@ class _Family:
 
 
 def load_netvlad(file: WeightFile) -> tuple[NetVLADNetwork, Preparation]:
-    """The network with a file's weights, ready for use, and what is done to its images.
-
-    Raises:
-        ValueError: naming the first layer that is missing, of another shape, or not finite.
-    """
+    """The network with a file's weights, and its preparation; refuses layers that do not fit."""
     described = file.description("NetVLAD")
     if described is not None:
         widths, preparation = _read_description(file, described)

@@ -1,7 +1,5 @@
 """Input of a network that was trained with torchvision's transforms."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,11 +18,7 @@ INTERPOLATIONS = ("bilinear", "bicubic")
 
 @dataclass(frozen=True)
 class NetworkInput:
-    """Size and colours of a network's input.
-
-    Raises:
-        ValueError: for values that make no input.
-    """
+    """Size and colours of a network's input; refuses values that make none."""
 
     height: int  # pixels
     width: int  # pixels
@@ -38,7 +32,6 @@ class NetworkInput:
     deviation: Triple = Preparation.deviation  # of red, green and blue in 0–255; divides
 
     def __post_init__(self) -> None:
-        """Refuse what makes no input."""
         Preparation(self.width, self.height, self.mean, self.deviation)  # checks these
         whole("multiple", self.multiple, 1, most=WIDEST)
         if self.resize not in RESIZE:
@@ -47,11 +40,7 @@ class NetworkInput:
             raise ValueError(suggest("interpolation", self.interpolation, INTERPOLATIONS))
 
     def apply(self, image: Image) -> Tensor:
-        """(3, H, W) float32 red, green, blue, standardised.
-
-        Raises:
-            ValueError: for an array that is no image.
-        """
+        """(3, H, W) float32 red, green, blue, standardised; refuses what is no image."""
         check_image(image)
         colours = torch.from_numpy(np.ascontiguousarray(image[:, :, ::-1]))  # BGR -> RGB
         colours = colours.permute(2, 0, 1).float()[None]  # (1, 3, H, W)

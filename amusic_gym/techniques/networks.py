@@ -22,12 +22,8 @@ from amusic_gym.utils.checks import whole
 
 Stages: TypeAlias = tuple[tuple[int, ...], ...]
 Network = TypeVar("Network", bound=nn.Module)
-
-COMPACT_STAGES: Stages = ((16, 16), (32, 32), (64, 64), (128, 128))
-"""Channels of a backbone small enough to ship."""
-
-WIDEST = 65536
-"""Largest size of a layer: a damaged file must not fill the memory."""
+COMPACT_STAGES: Stages = ((16, 16), (32, 32), (64, 64), (128, 128))  # small enough to ship
+WIDEST = 65536  # largest size of a layer: a damaged file must not fill the memory
 
 
 class CALCEncoder(nn.Module):
@@ -56,27 +52,19 @@ class CALCEncoder(nn.Module):
 class NetVLADWidths:
     """Sizes of a NetVLAD network; the defaults are those of the compact variant.
 
-    Attributes:
-        stages: output channels of each convolution, by stage.
-        clusters: K, the number of visual words.
-        whitened: P, the length of the whitened descriptor; None: no whitening, K·C values.
-        assignment_bias: whether the soft assignment has a bias.
-        descriptor_major: order in which the residuals (K, C) are flattened before the whitening:
-            False: c + k·C, as in PyTorch ports; True: k + c·K, as in the MATLAB original. The
-            whitening's columns are in this order, so it belongs to the weights.
-
     Raises:
         ValueError: for sizes that no network has.
     """
 
-    stages: Stages = COMPACT_STAGES
-    clusters: int = 16
-    whitened: int | None = 256
-    assignment_bias: bool = False
+    stages: Stages = COMPACT_STAGES  # output channels of each convolution, by stage
+    clusters: int = 16  # K, the number of visual words
+    whitened: int | None = 256  # P, the length of the whitened descriptor; None: K·C values
+    assignment_bias: bool = False  # of the soft assignment
+    # how the residuals (K, C) are flattened, and the whitening's columns ordered: False: c + k·C,
+    # as in PyTorch ports; True: k + c·K, as in the MATLAB original
     descriptor_major: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse sizes that no network has."""
         if not self.stages or not all(self.stages):
             raise ValueError(f"stages are {self.stages!r}; give channels for each stage")
         sizes = [*(width for stage in self.stages for width in stage), self.clusters]
@@ -114,20 +102,15 @@ def conv_layers(stages: Stages, batch_norm: bool = False) -> nn.Sequential:
 
 
 class NetVLADPooling(nn.Module):
-    """Residuals of local descriptors to K visual words, softly assigned (Arandjelović 2016, eq. 4).
-
-    Attributes:
-        assignment: linear layer C → K, the logits of the soft assignment.
-        centroids: (K, C).
-    """
+    """Residuals of local features to K visual words, softly assigned (Arandjelović 2016, eq. 4)."""
 
     def __init__(self, channels: int, clusters: int, bias: bool = False) -> None:
         super().__init__()
-        self.assignment = nn.Linear(channels, clusters, bias=bias)
+        self.assignment = nn.Linear(channels, clusters, bias=bias)  # logits
         centroids = torch.empty(clusters, channels)
         if not centroids.is_meta:  # there, it would import PyTorch's compiler, which takes seconds
             centroids = F.normalize(centroids.normal_(), dim=1)
-        self.centroids = nn.Parameter(centroids)
+        self.centroids = nn.Parameter(centroids)  # (K, C)
 
     def forward(self, features: Tensor) -> Tensor:
         """Residuals, of length 1 per word: (B, C, h, w) -> (B, K, C)."""
@@ -166,14 +149,9 @@ class NetVLADNetwork(nn.Module):
         return F.normalize(residuals.flatten(1), dim=1)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Descriptors of length 1.
+        """Descriptors (B, P) of length 1, or (B, K·C) without whitening, of images (B, 3, H, W).
 
-        Args:
-            images: (B, 3, H, W) RGB, less the mean and divided by the deviation that belong to
-                the weights.
-
-        Returns:
-            (B, P), or (B, K·C) without whitening.
+        These are RGB, less the mean and divided by the deviation that belong to the weights.
         """
         flat = self.aggregate(images)
         if self.whitening is None:
@@ -196,9 +174,7 @@ class NetVLADNetwork(nn.Module):
 def load_layers(build: Callable[[], Network], layer: Callable[..., NDArray[np.float32]]) -> Network:
     """A network with its weights, ready for use: no gradients, no training mode.
 
-    Args:
-        build: gives the network.
-        layer: name and shape of a layer -> its weights.
+    ``layer`` gives a layer's weights by its name and shape.
     """
     with torch.device("meta"):  # no memory, no random numbers
         network = build()

@@ -1,7 +1,5 @@
 """Users' own code: recognised by its place, its errors reported in one line."""
 
-from __future__ import annotations
-
 import sysconfig
 import traceback
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Preparation of an image for a network."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -13,8 +11,7 @@ from amusic_gym.techniques.protocol import Image
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import suggest
 
-CALC_SIZE = (160, 120)
-"""Width and height of the images that CALC's network takes."""
+CALC_SIZE = (160, 120)  # width and height of the images that CALC's network takes
 
 INTERPOLATIONS = {
     "cubic": cv2.INTER_CUBIC,
@@ -22,9 +19,7 @@ INTERPOLATIONS = {
     "area": cv2.INTER_AREA,
 }
 
-WIDEST = 8192
-"""Largest width and height of a network's input: a damaged file must not fill the memory."""
-
+WIDEST = 8192  # largest side of a network's input: a damaged file must not fill the memory
 Triple = tuple[float, float, float]
 
 
@@ -32,25 +27,17 @@ Triple = tuple[float, float, float]
 class Preparation:
     """How NetVLAD's input is made from an image; it belongs to the weights.
 
-    Attributes:
-        width: pixels of the network's input.
-        height: likewise.
-        mean: of red, green and blue in 0–255; is subtracted.
-        deviation: of red, green and blue in 0–255; divides. 1 where the weights expect that.
-        interpolation: ``"cubic"``, ``"linear"`` or ``"area"``.
-
     Raises:
         ValueError: for values that make no image.
     """
 
-    width: int = 160
-    height: int = 120
-    mean: Triple = (123.675, 116.28, 103.53)  # ImageNet's, as is the deviation
-    deviation: Triple = (58.395, 57.12, 57.375)
-    interpolation: str = "area"
+    width: int = 160  # pixels of the network's input
+    height: int = 120  # likewise
+    mean: Triple = (123.675, 116.28, 103.53)  # of red, green and blue in 0–255; is subtracted
+    deviation: Triple = (58.395, 57.12, 57.375)  # divides; both are ImageNet's
+    interpolation: str = "area"  # one of `INTERPOLATIONS`
 
     def __post_init__(self) -> None:
-        """Refuse what makes no image."""
         for name in ("width", "height"):
             whole(name, getattr(self, name), 1, most=WIDEST)
         for name in ("mean", "deviation"):
@@ -87,11 +74,7 @@ def prepare_calc(image: Image) -> NDArray[np.float32]:
 
 
 def check_image(image: Image) -> None:
-    """Refuse an array that is no image.
-
-    Raises:
-        ValueError: for another shape or type than (height, width, 3) uint8.
-    """
+    """Refuse an array that is no image: of another shape or type than (height, width, 3) uint8."""
     shape, dtype = np.shape(image), getattr(image, "dtype", type(image).__name__)
     if len(shape) != 3 or shape[2] != 3 or 0 in shape or dtype != np.uint8:
         raise ValueError(

@@ -1,7 +1,5 @@
 """The protocol of a visual place recognition technique: describe images, match descriptors."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 

@@ -17,14 +17,9 @@ from amusic_gym.techniques.protocol import Descriptor, Image, Parameters, Techni
 from amusic_gym.techniques.weight_files import read_weights
 from amusic_gym.utils.checks import whole as at_least
 
-LEVELS = 3
-"""Sizes of regions."""
-
-OVERLAP = 0.4
-"""Share of a region that its neighbour along the longer side should have, too."""
-
-SETTINGS = {"levels": LEVELS, "whole": False, "whitening": ""}
-"""What may stand behind the name of a technique that pools so."""
+LEVELS = 3  # sizes of regions
+OVERLAP = 0.4  # share of a region that its neighbour along the longer side should have, too
+SETTINGS = {"levels": LEVELS, "whole": False, "whitening": ""}  # behind a technique's name
 
 
 def regions(height: int, width: int, levels: int = LEVELS) -> Iterator[tuple[int, int, int]]:
@@ -65,14 +60,10 @@ class RMAC:
 
     @classmethod
     def of(cls, channels: int, *, levels: int, whole: bool, whitening: str) -> RMAC:
-        """The pooling that a technique's settings describe.
+        """The pooling of maps with D ``channels`` that a technique's settings describe.
 
-        Args:
-            channels: D, of the feature maps.
-            levels: as the attribute.
-            whole: as the attribute.
-            whitening: a weights file with ``mean`` (D,) and ``projection`` (D, k), learned on
-                images of other places: on the map's own it hurts; or nothing.
+        ``whitening`` is nothing, or a weights file with ``mean`` (D,) and ``projection`` (D, k),
+        learned on images of other places: on the map's own it hurts.
 
         Raises:
             FileNotFoundError: when there is no such file.

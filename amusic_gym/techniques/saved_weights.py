@@ -15,8 +15,6 @@ They are float32 or float16 (and are used as float32). The metadata has one entr
 - NetVLAD's ``widths`` and ``preparation``: the fields of ``NetVLADWidths`` and ``Preparation``.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -46,14 +44,10 @@ def save_netvlad(
     training: str,
     half: bool = False,
 ) -> Path:
-    """Write NetVLAD's weights; batch normalisation is folded into the convolutions.
+    """Write NetVLAD's weights as ``.safetensors``; batch normalisation is folded into convolutions.
 
-    Args:
-        path: a name that ends in ``.safetensors``.
-        network: the trained network.
-        preparation: what was done to the images it learned from.
-        training: how the weights were made, in plain words.
-        half: store float16, which takes half the room.
+    ``preparation`` is what was done to the images it learned from, ``training`` says in plain words
+    how. With ``half`` float16 is stored, which takes half the room.
 
     Raises:
         ValueError: for weights that are not finite, as float16 if that is asked for.

@@ -28,12 +28,8 @@ from amusic_gym.utils.names import few
 from amusic_gym.utils.reading import open_file
 from amusic_gym.utils.storage import write_whole
 
-FORMAT_VERSION = 1
-"""Of our own layout (saved_weights.py); rises when stored weights would mean something else."""
-
-DESCRIPTION = "amusic_gym"
-"""Name of the metadata in which a file in our layout describes itself."""
-
+FORMAT_VERSION = 1  # of our own layout; rises when stored weights would mean something else
+DESCRIPTION = "amusic_gym"  # name of the metadata in which a file in our layout describes itself
 PRETRAINED = Path(__file__).parent / "pretrained"
 
 
@@ -112,12 +108,9 @@ class WeightFile:
         )
 
     def layer(self, technique: str, name: str, *shape: int | None) -> NDArray[np.float32]:
-        """One layer's array as float32.
+        """One layer's array as float32, of the given shape; None in it: as the file has it.
 
-        Args:
-            technique: whose layer it is, for the refusal.
-            name: the array.
-            shape: the expected shape; None for a size that the file decides.
+        ``technique`` is whose layer it is, for the refusal.
 
         Raises:
             ValueError: naming the layer that is missing, of another shape, or not finite.
@@ -152,11 +145,7 @@ def _plain(name: str) -> str:
 def write_weights(
     path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], description: dict[str, Any]
 ) -> Path:
-    """Write weights in our layout, whole or not at all.
-
-    Raises:
-        ValueError: for a name that does not end in ``.safetensors``.
-    """
+    """Write weights in our layout, whole or not at all, to a name in ``.safetensors``."""
     from safetensors.numpy import save
 
     path = Path(path)

@@ -1,7 +1,5 @@
 """Readers of weights files, one per kind: bytes to arrays and texts. None executes anything."""
 
-from __future__ import annotations
-
 import io
 import json
 import pickle
@@ -19,12 +17,8 @@ from amusic_gym.techniques.matfile import TooLargeError, read_matfile
 
 Arrays: TypeAlias = dict[str, NDArray[Any]]
 Reader: TypeAlias = Callable[[bytes], tuple[Arrays, dict[str, str]]]
-
-MOST_BYTES = 2 << 30
-"""What neither a file nor its contents may exceed; NetVLAD's public files have 0.6 GB."""
-
-FLOOR_POOLING = "floor_pooling"
-"""Metadata of a network (ONNX) whose pooling rounds sizes down."""
+MOST_BYTES = 2 << 30  # of a file, and of its contents; NetVLAD's public files have 0.6 GB
+FLOOR_POOLING = "floor_pooling"  # metadata of a network (ONNX) whose pooling rounds sizes down
 
 
 class RefusalError(ValueError):
@@ -96,10 +90,6 @@ def _read_torch(data: bytes) -> tuple[Arrays, dict[str, str]]:
     return arrays, {}
 
 
-def _read_caffe(data: bytes) -> tuple[Arrays, dict[str, str]]:
-    return read_caffemodel(data), {}
-
-
 def _read_onnx(data: bytes) -> tuple[Arrays, dict[str, str]]:
     try:
         import onnx
@@ -158,7 +148,7 @@ READERS: dict[str, Callable[[bytes], tuple[Arrays, dict[str, str]]]] = {
     ".pth": _read_torch,
     ".ckpt": _read_torch,  # PyTorch Lightning's
     ".tar": _read_torch,  # name.pth.tar is PyTorch's, not tar's
-    ".caffemodel": _read_caffe,
+    ".caffemodel": lambda data: (read_caffemodel(data), {}),
     ".onnx": _read_onnx,
     ".mat": _read_matlab,
 }

@@ -1,6 +1,4 @@
-"""Checks of arguments that several parts share; each refuses with name, value and mend."""
-
-from __future__ import annotations
+"""Checks of arguments that several parts share; each refuses, by a ValueError, with a mend."""
 
 import math
 import numbers
@@ -23,22 +21,14 @@ def whole(
 
 
 def number(name: str, value: object, wanted: str) -> float:
-    """A finite number; ``wanted`` says what to give instead.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """A finite number; refuses anything else, and says that ``wanted`` should be given."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
         raise ValueError(f"{name} is {value!r}; give {wanted}")
     return float(value)
 
 
 def share(name: str, value: object) -> float:
-    """A number from 0 to 1.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """A number from 0 to 1; refuses anything else."""
     found = number(name, value, "a number in [0, 1]")
     if not 0.0 <= found <= 1.0:
         raise ValueError(f"{name} is {value!r}; give a number in [0, 1]")
@@ -46,11 +36,7 @@ def share(name: str, value: object) -> float:
 
 
 def flag(name: str, value: object) -> bool:
-    """True or False.
-
-    Raises:
-        ValueError: for anything else: a text like "no" would count as true.
-    """
+    """True or False; refuses anything else: a text like "no" would count as true."""
     if not isinstance(value, bool):
         raise ValueError(f"{name} is {value!r}; give True or False")
     return value

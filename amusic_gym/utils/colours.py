@@ -4,8 +4,6 @@ They are taken from Okabe and Ito's and Tol's sets, made for every common kind o
 their bright yellow is left out, it vanishes on white.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 Pages escape with `html.escape`, JSON by itself.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Iterable

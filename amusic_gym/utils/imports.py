@@ -9,9 +9,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-PACKAGE = Path(__file__).parent.parent
-"""This package's folder."""
-
+PACKAGE = Path(__file__).parent.parent  # this package's folder
 _FIRST_DEFINITION = re.compile(rb"^(?:@|def |class |async )", re.MULTILINE)
 
 

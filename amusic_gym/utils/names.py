@@ -1,7 +1,5 @@
 """Names: the sentence for an unknown one, and those of files and of what must be told apart."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable, Sequence
 

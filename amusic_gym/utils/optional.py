@@ -3,8 +3,6 @@
 What a technique imports must stand in its file as an import: it is part of the key of the cache.
 """
 
-from __future__ import annotations
-
 import importlib
 from typing import Any
 
@@ -12,14 +10,8 @@ from typing import Any
 def optional(module: str, whose: str, package: str, part: str) -> Any:
     """A module of a package that may not be installed.
 
-    Args:
-        module: its name.
-        whose: what needs it, for the refusal.
-        package: what the refusal calls it.
-        part: of this package, that brings it.
-
-    Raises:
-        ValueError: where it is not installed, with the command.
+    The refusal, a ValueError, says ``whose`` need it is, what the ``package`` is called, and the
+    command that installs the ``part`` of this package with it.
     """
     try:
         return importlib.import_module(module)

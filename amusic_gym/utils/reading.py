@@ -1,7 +1,5 @@
 """Reading files with plain refusals: of what is no regular file, too large, or damaged."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import json
@@ -12,7 +10,7 @@ import warnings
 from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +26,11 @@ class NpyHeader:
     shape: tuple[int, ...]
     fortran_order: bool
     offset: int
+
+    def mapped(self, path: Path) -> NDArray[Any]:
+        """The array, memory-mapped; where it is mapped anew for each piece, pages are let go."""
+        order: Literal["C", "F"] = "F" if self.fortran_order else "C"
+        return np.memmap(path, self.dtype, "r", self.offset, self.shape, order)
 
 
 def read_npy_header(file: BufferedReader, path: Path) -> NpyHeader:
@@ -126,6 +129,13 @@ def read_regular(path: Path, limit: int, folder: int | None = None) -> bytes:
             "the right one"
         )
     return content
+
+
+def read_lines(path: Path) -> list[str]:
+    """Lines of a text file without blanks around them, empty lines and those that begin with #."""
+    with open_file(path) as file:
+        lines = file.read().decode("utf-8-sig", "surrogateescape").splitlines()
+    return [line.strip() for line in lines if line.strip() and not line.startswith("#")]
 
 
 def parse_json(content: bytes, path: Path, mend: str, kind: type = dict) -> Any:

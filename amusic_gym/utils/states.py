@@ -1,7 +1,5 @@
 """The changing part of objects as plain data: numbers, texts, arrays; never a pickle."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections import deque
@@ -115,11 +113,7 @@ def _is_constant(value: Any) -> bool:
 
 
 def write_state(path: str | Path, tree: Any, arrays: Arrays) -> Path:
-    """Write what `taken` gave, whole or not at all.
-
-    Raises:
-        OSError: when it cannot be written.
-    """
+    """Write what `taken` gave, whole or not at all; raises an OSError where it cannot."""
     file = io.BytesIO()
     text = np.frombuffer(json.dumps(tree).encode(), np.uint8)
     np.savez(file, allow_pickle=False, **{**arrays, _TREE: text})

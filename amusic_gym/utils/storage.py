@@ -4,8 +4,6 @@ Whatever is written has a hidden name, ``.amusic-….tmp``, and a lock until it 
 such a name and no lock is what a killed writer left; the next writer in its folder removes it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import errno
@@ -30,12 +28,8 @@ _PREFIX = ".amusic-"
 _UNFINISHED = f"{_PREFIX}*.tmp*"
 _WRITTEN = f"{_PREFIX}written.json"
 _ATTEMPTS = 20
-_PATIENCE = 2.0
-"""Seconds to wait for a lock without a word."""
-
-_swept: set[Path] = set()
-"""Folders that this process has swept for `replacing_file`."""
-
+_PATIENCE = 2.0  # seconds to wait for a lock without a word
+_swept: set[Path] = set()  # folders that this process has swept for `replacing_file`
 _SWAP_UNSUPPORTED = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EXDEV, errno.EPERM)
 _OCCUPIED = (errno.ENOTEMPTY, errno.EEXIST)
 
@@ -143,11 +137,7 @@ def replacing_folder(path: Path, marker: str, contents: frozenset[str]) -> Itera
 
 
 def refuse_to_replace_others(path: Path, marker: str, contents: frozenset[str]) -> None:
-    """Refuse what :func:`replacing_folder` would refuse: anything but its own kind of folder.
-
-    Raises:
-        ValueError: when ``path`` is something that must not be replaced.
-    """
+    """Refuse what :func:`replacing_folder` would refuse: anything but its own kind of folder."""
     try:
         found = {entry.name for entry in path.iterdir()}
     except FileNotFoundError:  # perhaps while another writer exchanges it
@@ -330,10 +320,9 @@ def _sweep_exchange(path: Path) -> None:
 
 
 def _restore_folder(path: Path) -> None:
-    """Put the old folder back if a writer died while it exchanged ``path`` by two renames.
+    """Put the old folder back if a writer died between its two renames of ``path``.
 
-    Needed only where the system cannot swap two folders in one step; the lock of the folder that
-    holds both must be held.
+    The lock of the folder that holds both must be held.
     """
     if not path.exists():
         for aside in _asides(path):

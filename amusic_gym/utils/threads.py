@@ -8,8 +8,6 @@ While a process forks, OpenCV has one thread, too: in a child that has only inhe
 it would hang.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sys

@@ -9,8 +9,6 @@ Everything is drawn anew from the seed: no picture is shipped or read. Equal arg
 bits. Equal place numbers of two traverses are the same place, so ground truth is 1:1.
 """
 
-from __future__ import annotations
-
 from amusic_gym.worlds.conditions import CONDITIONS, NAMES, REFERENCE
 from amusic_gym.worlds.files import render_folders
 from amusic_gym.worlds.film import Image

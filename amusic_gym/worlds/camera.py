@@ -1,7 +1,5 @@
 """The camera: where it is in a frame, and how it sees."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,29 +9,19 @@ from amusic_gym.worlds.conditions import Look
 from amusic_gym.worlds.noise import generator
 from amusic_gym.worlds.world import World
 
-FOCAL = 0.72
-"""Focal length per image width: 70 degrees across."""
+FOCAL = 0.72  # focal length per image width: 70 degrees across
 
 
 @dataclass(frozen=True)
 class ViewCamera:
-    """Where the camera is and how it looks.
+    """Where the camera is and how it looks."""
 
-    Attributes:
-        along: metres along the route.
-        right: metres to the right of the path.
-        yaw: radians to the right of straight ahead along the path.
-        pitch: radians upwards.
-        height: metres over the ground.
-        size: (columns, rows) in pixels.
-    """
-
-    along: float
-    right: float
-    yaw: float
-    pitch: float
-    height: float
-    size: tuple[int, int]
+    along: float  # metres along the route
+    right: float  # metres to the right of the path
+    yaw: float  # radians to the right of straight ahead along the path
+    pitch: float  # radians upwards
+    height: float  # metres over the ground
+    size: tuple[int, int]  # (columns, rows) in pixels
 
     @property
     def lens(self) -> tuple[float, float, float]:

@@ -1,7 +1,5 @@
 """Under which conditions a route is driven: what each changes, one entry each."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -68,23 +66,15 @@ CONDITIONS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 """What each condition changes in a `Look`; join several with "+", as in ``"winter+night"``."""
 
-STRETCHES = "changing"
-"""The condition that drives through stretches of others."""
-
-REFERENCE = "day"
-"""The condition of the map."""
-
+STRETCHES = "changing"  # the condition that drives through stretches of others
+REFERENCE = "day"  # the condition of the map
 STRETCH_METRES = 60.0
 
 NAMES: tuple[str, ...] = (*CONDITIONS, STRETCHES)
 
 
 def parts_of(condition: str) -> tuple[str, ...]:
-    """The registered names that ``condition`` joins with "+".
-
-    Raises:
-        ValueError: for a name that is not registered.
-    """
+    """The registered names that ``condition`` joins with "+"; refuses others."""
     names = tuple(condition.split("+")) if isinstance(condition, str) else (condition,)
     for name in names:
         if name not in NAMES:
@@ -93,13 +83,10 @@ def parts_of(condition: str) -> tuple[str, ...]:
 
 
 def look_at(condition: str, seed: int, run: int, position: float) -> Look:
-    """How the world looks at a position of a drive.
+    """How the world looks at a position of a drive, in metres; every drive differs a little.
 
-    Args:
-        condition: one or more of `NAMES`, joined by "+"; later ones win.
-        seed: of the world.
-        run: number of the drive; every drive differs a little.
-        position: metres along the route; only "changing" depends on it.
+    ``condition`` is one or more of `NAMES`, joined by "+"; later ones win. Only "changing" depends
+    on the position.
 
     Raises:
         ValueError: for an unknown condition.

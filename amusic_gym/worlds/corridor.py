@@ -1,7 +1,5 @@
 """Corridors: doors, glass, posters, lockers, alcoves and cross passages."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from amusic_gym.worlds import ground

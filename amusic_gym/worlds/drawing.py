@@ -1,7 +1,5 @@
 """One frame: the camera, the order of drawing, the light and the lens."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -21,17 +19,10 @@ from amusic_gym.worlds.world import World
 
 
 def draw(world: World, camera: ViewCamera, look: Look, run: int, frame: int) -> Image:
-    """The image that a camera takes.
+    """The image (rows, columns, 3) uint8, blue-green-red, that a camera takes.
 
-    Args:
-        world: the route.
-        camera: from `aim`, or one of your own.
-        look: from `conditions.look_at`.
-        run: number of the drive: its sky, parked cars and noise.
-        frame: number of the frame: its moving things and noise.
-
-    Returns:
-        (rows, columns, 3) uint8, blue-green-red.
+    The number of the drive (``run``) gives its sky, parked cars and noise, that of the ``frame``
+    moving things and noise.
     """
     if world.kind == "corridor":
         look = indoors(look)

@@ -1,7 +1,5 @@
 """Houses: fronts of many materials with windows, doors, shops, signs and wear; sides and roofs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2
@@ -173,16 +171,9 @@ def lettering(
 def facade(
     seed: int, season: str, number: int, kind: int, wide: float, storeys: int, use: str
 ) -> Paint:
-    """A front ``wide`` metres wide.
+    """A front ``wide`` metres wide; equal numbers give equal houses.
 
-    Args:
-        seed: of the world.
-        season: "summer", "autumn" or "winter".
-        number: of the house: equal numbers give equal houses.
-        kind: the type of house, see :func:`style_of`.
-        wide: metres.
-        storeys: at least one.
-        use: "home", "shop" or "hall".
+    Its type is ``kind``, see :func:`style_of`, its use "home", "shop" or "hall".
     """
     style = style_of(seed, kind)
     rng = generator(seed, "facade", number)

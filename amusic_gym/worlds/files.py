@@ -1,7 +1,5 @@
 """Rendered traverses as folders of images that grow safely and can be finished later."""
 
-from __future__ import annotations
-
 import json
 import os
 import zlib
@@ -18,13 +16,9 @@ from amusic_gym.worlds.film import Image
 from amusic_gym.worlds.views import SIZE, check_places, check_size, render
 from amusic_gym.worlds.world import SPACING, Kind, World
 
-QUALITY = 92
-"""Of the JPEG files: recordings have their artefacts too, and a place takes about 35 kB."""
-
+QUALITY = 92  # of JPEG files: recordings have their artefacts too, and a place takes about 35 kB
 SETTINGS = "render.json"
-
-VERSION = 1
-"""Raised when the same settings begin to give other pictures."""
+VERSION = 1  # raised when the same settings begin to give other pictures
 
 
 @dataclass(frozen=True)
@@ -153,11 +147,7 @@ def _place(path: Path, data: bytes) -> None:
 
 
 def _refuse_others(folder: Path, settings: Settings) -> None:
-    """Never mix images: go on only in an empty folder or one of the same settings.
-
-    Raises:
-        ValueError: otherwise.
-    """
+    """Never mix images: go on only in an empty folder or one of the same settings."""
     if not folder.exists():
         return
     if not folder.is_dir():

@@ -1,7 +1,5 @@
 """What air, lens and sensor do to a picture: mirrors, flakes, rain, glare, blur, noise."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Maps of the ground (and of ceilings) seen from above, one block of the route at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from functools import lru_cache
 
@@ -12,18 +10,10 @@ from numpy.typing import NDArray
 from amusic_gym.worlds.noise import Floats, Generator, fractal, generator, patch
 from amusic_gym.worlds.paint import Colour
 
-ALONG = 10
-"""Texels per metre along the route."""
-
-ACROSS = 14
-"""Texels per metre across it."""
-
-HALF = 22.0
-"""Metres of ground to either side; beyond, the edge goes on."""
-
-BLOCK = 24
-"""Metres of route in a block."""
-
+ALONG = 10  # texels per metre along the route
+ACROSS = 14  # texels per metre across it
+HALF = 22.0  # metres of ground to either side; beyond, the edge goes on
+BLOCK = 24  # metres of route in a block
 Texture = NDArray[np.uint8]
 
 

@@ -1,7 +1,5 @@
 """Rock, slopes, masonry, platforms and small furniture."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from amusic_gym.worlds.facades import STONE, courses

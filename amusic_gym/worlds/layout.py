@@ -12,11 +12,8 @@ from numpy.typing import NDArray
 from amusic_gym.worlds.ground import BLOCK
 from amusic_gym.worlds.noise import Generator, generator
 
-Point = tuple[float, float, float]
-"""Metres to the right of the path, up, and along the route."""
-
-Key = tuple[object, ...]
-"""Name of a texture: a maker in `textures.MAKERS` and its arguments."""
+Point = tuple[float, float, float]  # metres to the right of the path, up, and along the route
+Key = tuple[object, ...]  # name of a texture: a maker in `textures.MAKERS` and its arguments
 
 LIT = {"left": 0.9, "right": -0.9, "front": -0.25, "none": 0.0}
 """What the sun finds of a plane that looks this way, -1 to 1."""

@@ -1,7 +1,5 @@
 """The compiled kernel of light: daylight, lamps, headlights, glow and fog."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from amusic_gym.kernels.compiling import compiled, inner

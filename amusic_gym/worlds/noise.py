@@ -1,7 +1,5 @@
 """Random numbers by name, and fractal fields from which all materials are made."""
 
-from __future__ import annotations
-
 import zlib
 from functools import lru_cache
 
@@ -11,9 +9,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float32]
 Generator = np.random.Generator
-
-FIELD = 512
-"""Rows and columns of a fractal field; it tiles."""
+FIELD = 512  # rows and columns of a fractal field; it tiles
 
 
 def generator(*keys: int | str) -> Generator:

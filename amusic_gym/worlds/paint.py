@@ -1,7 +1,5 @@
 """A texture while it is being painted, in metres."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2
@@ -10,21 +8,14 @@ from numpy.typing import NDArray
 
 from amusic_gym.worlds.noise import Floats, Generator, patch
 
-Colour = tuple[float, float, float]
-"""Blue, green, red, 0-255."""
-
-TEXELS = 26
-"""Texels per metre of walls and things."""
+Colour = tuple[float, float, float]  # blue, green, red, 0-255
+TEXELS = 26  # texels per metre of walls and things
 
 
 class Paint:
     """Colour, alpha and glow of a surface, ``width`` x ``height`` metres, y from the ground up.
 
-    Args:
-        width: metres.
-        height: metres.
-        colour: of the whole surface; None begins transparent.
-        texels: texels per metre.
+    Without a ``colour`` it begins transparent; there are so many ``texels`` per metre.
     """
 
     def __init__(

@@ -1,7 +1,5 @@
 """Trees, bushes, hedges and grass with leaves and branches at several scales."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

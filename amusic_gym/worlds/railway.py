@@ -1,7 +1,5 @@
 """Railways: woods, fields, cuttings, villages, stations and tunnels along one or two tracks."""
 
-from __future__ import annotations
-
 from amusic_gym.worlds import ground
 from amusic_gym.worlds.ground import BLOCK, GroundPlan
 from amusic_gym.worlds.layout import Block, zone_of

@@ -5,16 +5,12 @@ and glow, how much of that the surface sends out by itself (0-255). Beside it st
 depth (H, W) float32 in 1/metre, 0 at infinity. Camera axes: x right, y up, z ahead, in metres.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.kernels.compiling import compiled, inner
 
-NEAR = 0.6
-"""Metres: nothing nearer is drawn."""
-
+NEAR = 0.6  # metres: nothing nearer is drawn
 Floats = NDArray[np.float32]
 Vector = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -105,9 +101,9 @@ def _screen_box(
 
 @inner
 def _invert(corner: Vector, along: Vector, up: Vector, lens: Lens, out: Vector) -> bool:
-    """From screen to texture: (x, y, 1) = M (a, b, 1) / depth, so M^-1 gives (a, b, 1) / depth.
+    """From screen to texture: (x, y, 1) = M (a, b, 1) / depth; ``out`` takes M^-1, row by row.
 
-    ``out`` takes the nine numbers of M^-1, row by row. False when the plane is seen edge-on.
+    False when the plane is seen edge-on.
     """
     focal, centre_x, centre_y = lens
     az, bz, cz = along[2], up[2], corner[2]

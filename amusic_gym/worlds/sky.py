@@ -1,34 +1,20 @@
 """What stands at infinity: clouds and the skyline, as panoramas."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 
 from amusic_gym.worlds.noise import FIELD, Floats, fractal, generator
 
-ROUND = 4096
-"""Columns of a panorama: 360 degrees."""
-
-SCALE = 40.0
-"""Texels of the cloud field per height of the clouds."""
-
-HILLS = 240
-"""Rows of the skyline, from the horizon up."""
-
-RISE = 512
-"""Rows: from 45 degrees above the horizon down to it."""
+ROUND = 4096  # columns of a panorama: 360 degrees
+SCALE = 40.0  # texels of the cloud field per height of the clouds
+HILLS = 240  # rows of the skyline, from the horizon up
+RISE = 512  # rows: from 45 degrees above the horizon down to it
 
 
 def clouds(seed: int, run: int, cover: float, zenith: Floats, horizon: Floats) -> Floats:
-    """(512, 1024, 3) sky of one drive, a quarter as wide as a panorama.
+    """(512, 1024, 3) sky of one drive, a quarter as wide as a panorama, with clouds of its own.
 
-    Args:
-        seed: of the world.
-        run: number of the drive: each has clouds of its own.
-        cover: 0 clear to 1 overcast.
-        zenith: colour above.
-        horizon: colour at the horizon.
+    ``cover`` is 0 for clear to 1 for overcast.
     """
     rng = generator(seed, "sky", run)
     field = fractal(1.35, int(rng.integers(4)))

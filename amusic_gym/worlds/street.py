@@ -1,7 +1,5 @@
 """Streets: terraces, shops, suburbs, parks, offices and works along a road, and its traffic."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 
@@ -240,9 +238,6 @@ def furniture(block: Block, rng: Generator, side: int, zone: str) -> None:
     if zone in ("terrace", "shops") and avenue.random() < 0.4:
         for s in (3.0, 11.0, 19.0):
             tree(block, rng, side * (ROAD + 0.8), s, 4, 7)
-
-
-# ---- what does not stay ---------------------------------------------------------------------
 
 
 def car(block: Block, number: int, x: float, s: float) -> None:

@@ -1,7 +1,5 @@
 """All textures by name, and their halved copies, so that far things neither flicker nor alias."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import cv2
@@ -12,11 +10,8 @@ from amusic_gym.worlds import corridor, facades, land, plants, things
 from amusic_gym.worlds.layout import Key
 from amusic_gym.worlds.paint import Paint
 
-LEVELS = 7
-"""Halved copies of a texture, at most."""
-
-Levels = tuple[NDArray[np.uint8], NDArray[np.int64]]
-"""Pixels of all levels, flat, and (start, width, height) of each."""
+LEVELS = 7  # halved copies of a texture, at most
+Levels = tuple[NDArray[np.uint8], NDArray[np.int64]]  # pixels, flat; (start, width, height) each
 
 MAKERS: dict[str, Callable[..., Paint]] = {
     "facade": facades.facade,

@@ -1,7 +1,5 @@
 """Cars, people, poles, signs and furniture."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Frames and traverses of a world: what one calls."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from amusic_gym.utils.checks import number, whole
@@ -11,14 +9,9 @@ from amusic_gym.worlds.drawing import draw
 from amusic_gym.worlds.film import Image
 from amusic_gym.worlds.world import SPACING, Kind, World
 
-SIZE = (320, 240)
-"""Columns and rows."""
-
-LARGEST = 4096
-"""Pixels along a side, at most."""
-
-MOST = 100_000
-"""Places of a traverse, at most."""
+SIZE = (320, 240)  # columns and rows
+LARGEST = 4096  # pixels along a side, at most
+MOST = 100_000  # places of a traverse, at most
 
 
 def render(
@@ -87,11 +80,7 @@ def traverse(
 
 
 def check_size(size: tuple[int, int]) -> tuple[int, int]:
-    """(columns, rows) within bounds.
-
-    Raises:
-        ValueError: otherwise.
-    """
+    """(columns, rows) within bounds; refuses others."""
     try:
         columns, rows = size
     except (TypeError, ValueError):
@@ -103,11 +92,7 @@ def check_size(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def check_places(places: int) -> int:
-    """A number of places within bounds.
-
-    Raises:
-        ValueError: otherwise.
-    """
+    """A number of places within bounds; refuses others."""
     places = whole("places", places, 1)
     if places > MOST:
         raise ValueError(f"places is {places}; give at most {MOST}")

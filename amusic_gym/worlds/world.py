@@ -1,7 +1,5 @@
 """A route: its path, its blocks and all that is kept between frames."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Callable
 from functools import partial
@@ -27,21 +25,13 @@ KINDS: tuple[Kind, ...] = ("street", "rail", "corridor")
 ROUTES: dict[str, ModuleType] = {"street": street, "rail": railway, "corridor": corridor}
 """What each kind is made of: a module with the same names as the others."""
 
-SPACING = {kind: float(route.SPACING) for kind, route in ROUTES.items()}
-"""Metres from one place to the next, by kind."""
-
-AHEAD = 6
-"""Blocks drawn from the camera's own one on."""
-
+SPACING = {kind: float(route.SPACING) for kind, route in ROUTES.items()}  # metres between places
+AHEAD = 6  # blocks drawn from the camera's own one on
 Kept = TypeVar("Kept")
 
 
 class Store:
-    """The last things that were made, by name, each as long as it is used.
-
-    Args:
-        limit: how many are kept.
-    """
+    """The last things that were made, ``limit`` of them, by name, each as long as it is used."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit

@@ -1,8 +1,7 @@
 """A-MuSIC, the paper's rule (III-C), driving the environment through the re-select bit."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
+from dataclasses import InitVar, dataclass
 from typing import Any
 
 import numpy as np
@@ -15,13 +14,11 @@ from amusic_gym.policies.protocol import Context, Needs
 from amusic_gym.policies.registry import AMUSIC, RegisteredPolicy
 from amusic_gym.utils.names import suggest
 
-ALPHA = 0.05
-"""Significance level of the re-selection test (A-MuSIC, III-C2)."""
+ALPHA = 0.05  # significance level of the re-selection test (A-MuSIC, III-C2)
 
 MOST_BLOCK = 1000
 
-ROUNDING = 1e-9
-"""Corrections this close to each other are equal."""
+ROUNDING = 1e-9  # corrections this close to each other are equal
 
 
 def differ(before: ArrayLike, after: ArrayLike, alpha: float = ALPHA) -> bool:
@@ -42,29 +39,18 @@ def differ(before: ArrayLike, after: ArrayLike, alpha: float = ALPHA) -> bool:
     return bool(2.0 * stdtr(difference.size - 1, -abs(t)) < alpha)
 
 
+@dataclass(eq=False)
 class AMuSIC:
-    """Runs the techniques of the last selection; selects again when their corrections change.
+    """Runs the techniques of the last selection; selects again when their corrections change."""
 
-    Args:
-        statistic: ``"mean"`` is the paper's.
-        block: M, frames of a selection and of a test.
-        coverage: E, share of MuSIC's choices that a selection covers.
-        alpha: significance level of the test.
-    """
+    statistic: InitVar[str] = "mean"  # the paper's
+    block: int = BLOCK  # M, frames of a selection and of a test
+    coverage: InitVar[float] = COVERAGE  # E, share of MuSIC's choices that a selection covers
+    alpha: float = ALPHA  # significance level of the test
 
-    def __init__(
-        self,
-        statistic: str = "mean",
-        block: int = BLOCK,
-        coverage: float = COVERAGE,
-        alpha: float = ALPHA,
-    ) -> None:
+    def __post_init__(self, statistic: str, coverage: float) -> None:
         told = None if statistic == "evidence" else False  # nothing else carries or discounts
-        self.needs = Needs(
-            statistic=statistic, carry=told, discount=told, reselection=block, coverage=coverage
-        )
-        self.block = block
-        self.alpha = alpha
+        self.needs = Needs(statistic, told, told, reselection=self.block, coverage=coverage)
         self._selected = np.zeros((0, 0), np.bool_)  # (N, S)
         self._before = np.zeros((0, 0, 0))  # (N, S, M) ch: corrections of the block before
         self._after = np.zeros((0, 0, 0))  # (N, S, M) ĉh: corrections of the running block

@@ -1,7 +1,5 @@
 """Checks that the policies' ``NAME:ARGUMENT`` share; each refuses with a ValueError."""
 
-from __future__ import annotations
-
 import math
 
 from amusic_gym.policies.protocol import Context
@@ -39,11 +37,7 @@ def columns(policy: str, argument: str, names: str, context: Context) -> list[in
 def technique_parts(
     policy: str, argument: str, form: str, context: Context
 ) -> tuple[list[int], list[str]]:
-    """Indices of the techniques that lead an argument, all if none do, and its other parts.
-
-    Raises:
-        ValueError: for another number of parts, an unknown technique, or one named twice.
-    """
+    """Indices of the techniques that lead an argument, all if none do, and its other parts."""
     names, _, rest = argument.partition("/")
     if len(argument.split("/")) <= len(form.split("/")):
         return list(range(len(context.techniques))), parts(policy, argument, form)

@@ -6,15 +6,13 @@ Borda's count does, is `borda:DEPTH` with a DEPTH as long as the map: what is la
 second to last then counts as much as what is first. `DEPTH` was chosen on simulated routes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amusic_baselines.arguments import whole
-from amusic_baselines.scores import every_row
+from amusic_baselines.scores import rows_of
 from amusic_gym.policies.protocol import Context, Run
 from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
@@ -41,7 +39,7 @@ class Borda:
 
     def locate(self, frame: int, run: Run) -> tuple[int, float]:
         """The place with the most points, and their mean over the techniques."""
-        rows = every_row(run, self._techniques)
+        rows = rows_of(run, range(self._techniques))
         total = np.mean([points(row, self.depth) for row in rows], axis=0)  # (R,)
         place = int(total.argmax())
         return place, float(total[place])

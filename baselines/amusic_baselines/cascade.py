@@ -1,7 +1,5 @@
 """Margin cascade: a cheap subset always, the dearer techniques while in doubt."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar

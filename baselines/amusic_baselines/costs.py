@@ -1,7 +1,5 @@
 """Which techniques are cheap, from what the infos say."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
@@ -21,12 +19,10 @@ def cost_ranks(info: Mapping[str, Any]) -> NDArray[np.intp]:
 
 def cheapest(info: Mapping[str, Any]) -> NDArray[np.bool_]:
     """The cheapest technique of every route alone, (N, S)."""
-    alone: NDArray[np.bool_] = (cost_ranks(info) == 0) & info["present"]
-    return alone
+    return (cost_ranks(info) == 0) & info["present"]
 
 
 def cost_shares(info: Mapping[str, Any]) -> NDArray[np.float64]:
     """Cost (N, S) of one run as a share of running all techniques present; 0 for absent ones."""
     seconds = np.where(info["present"], info["run_seconds"], 0.0)
-    shares: NDArray[np.float64] = seconds / seconds.sum(axis=1, keepdims=True)
-    return shares
+    return seconds / seconds.sum(axis=1, keepdims=True)

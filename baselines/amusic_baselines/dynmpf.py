@@ -5,8 +5,6 @@ techniques must run before a subset can be chosen. Our reading: every subset tak
 techniques too; of equally clear ones the smaller, then the one of lower technique indices.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -14,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_baselines.arguments import whole
-from amusic_baselines.scores import RADIUS, every_row, scaled
+from amusic_baselines.scores import RADIUS, rows_of, scaled
 from amusic_gym.policies.protocol import Context, Run
 from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
-MOST_TECHNIQUES = 10
-"""There are 2**T - 1 subsets, 1023 of so many."""
+MOST_TECHNIQUES = 10  # there are 2**T - 1 subsets, 1023 of so many
 
 
 def subsets(techniques: int) -> NDArray[np.float64]:
@@ -59,7 +56,7 @@ class DynamicFusion:
 
     def locate(self, frame: int, run: Run) -> tuple[int, float]:
         """Peak of the chosen subset's summed scores, and its clearness."""
-        rows = scaled(every_row(run, self._subsets.shape[1]))
+        rows = scaled(rows_of(run, range(self._subsets.shape[1])))
         peak, clear = clearness(self._subsets @ rows, self.radius)
         chosen = int(clear.argmax())
         return int(peak[chosen]), float(clear[chosen])

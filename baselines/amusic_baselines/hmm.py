@@ -6,15 +6,13 @@ a move beyond the map's last place may end anywhere; before the first frame ever
 likely. β and the jump rate were chosen on simulated routes, as they are and re-timed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amusic_baselines.arguments import number, parts
-from amusic_baselines.scores import every_row, standardised
+from amusic_baselines.scores import rows_of, standardised
 from amusic_gym.policies.protocol import Context, Run
 from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
@@ -49,7 +47,7 @@ class MarkovFilter:
 
     def locate(self, frame: int, run: Run) -> tuple[int, float]:
         """The likeliest place, and the mass within `REACH` of it."""
-        evidence = self.beta * standardised(every_row(run, self._techniques)).sum(axis=0)
+        evidence = self.beta * standardised(rows_of(run, range(self._techniques))).sum(axis=0)
         before = self._belief if frame == 0 else advance(self._belief, self.jump)
         belief = before * np.exp(evidence - evidence.max())
         self._belief = belief / belief.sum()

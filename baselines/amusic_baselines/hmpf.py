@@ -7,15 +7,13 @@ tiers, with one one. A later tier only had to match candidates there; here a run
 row, and that is what it costs.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amusic_baselines.arguments import none
-from amusic_baselines.scores import every_row, scaled, standardised
+from amusic_baselines.scores import rows_of, scaled, standardised
 from amusic_gym.policies.protocol import Context, Run
 from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
@@ -66,7 +64,7 @@ class HierarchicalFusion:
 
     def locate(self, frame: int, run: Run) -> tuple[int, float]:
         """Best candidate by the weighted sum over tiers; its z-score among the candidates."""
-        return fuse(every_row(run, self._techniques), self.tiers)
+        return fuse(rows_of(run, range(self._techniques)), self.tiers)
 
 
 def hmpf(argument: str | None, context: Context) -> HierarchicalFusion:

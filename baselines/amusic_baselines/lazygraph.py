@@ -12,10 +12,9 @@ Our reading where a route here differs from theirs:
  - They report a path; the confidence is the mean similarity along its last `RECENT` nodes.
 """
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,27 +31,14 @@ RECENT = 10  # nodes
 FORM = "FANOUT/RATE/NONMATCH"
 
 
+@dataclass(eq=False)
 class LazyGraph:
-    """Runs the same techniques on every frame; the place is the end of the best path so far.
+    """Runs the same techniques on every frame; the place is the end of the best path so far."""
 
-    Args:
-        columns: indices of the techniques that run.
-        fan_out: places to either side that a child may be away from its parent.
-        rate: share of the mean cost of the best path that each frame is hoped to cost.
-        non_match: the highest cost of a node.
-    """
-
-    def __init__(
-        self,
-        columns: Sequence[int],
-        fan_out: int = FAN_OUT,
-        rate: float = RATE,
-        non_match: float = NON_MATCH,
-    ) -> None:
-        self.columns = columns
-        self.fan_out = fan_out
-        self.rate = rate
-        self.non_match = non_match
+    columns: Sequence[int]  # indices of the techniques that run
+    fan_out: int = FAN_OUT  # places to either side that a child may be away from its parent
+    rate: float = RATE  # share of the best path's mean cost that each frame is hoped to cost
+    non_match: float = NON_MATCH  # the highest cost of a node
 
     def reset(self, references: int, techniques: int) -> None:
         """Forget the graph."""
@@ -104,7 +90,6 @@ class LazyGraph:
             self._best = total, row + 1, child
 
     def _confidence(self) -> float:
-        """Mean similarity along the last nodes of the best path."""
         _, row, place = self._best
         similarities: list[float] = []
         while row >= 0 and len(similarities) < RECENT:

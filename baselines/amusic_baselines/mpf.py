@@ -11,8 +11,6 @@ published. Our reading where these leave it open, or where a route here differs 
    confidence is 1 minus the *mean* ratio along the path; they sum over all frames but the first.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass
@@ -21,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_baselines.arguments import whole
-from amusic_baselines.scores import RADIUS, best_outside, every_row, scaled
+from amusic_baselines.scores import RADIUS, rows_of, scaled
 from amusic_gym.policies.protocol import Context, Run
 from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
@@ -52,8 +50,9 @@ def dissenter(seen: NDArray[np.float64], radius: int) -> int | None:
 
 def ratio(values: NDArray[np.float64], place: int, radius: int) -> float:
     """Value at ``place`` over the best outside ±radius, of negative values (R,); smaller: surer."""
-    rival = best_outside(values, place, radius)
-    return 0.0 if rival is None else float(values[place]) / rival
+    sides = values[: max(0, place - radius)], values[place + radius + 1 :]
+    rivals = [float(side.max()) for side in sides if side.size]
+    return float(values[place]) / max(rivals) if rivals else 0.0
 
 
 def sequence_start(ratios: list[float]) -> int:
@@ -98,7 +97,7 @@ class MultiProcessFusion:
 
     def locate(self, frame: int, run: Run) -> tuple[int, float]:
         """End of the best path; 1 minus the mean quality ratio along it."""
-        seen = observations(every_row(run, self._techniques))
+        seen = observations(rows_of(run, range(self._techniques)))
         logs = np.log(seen)
         out = dissenter(seen, self.radius)
         emission = (logs if out is None else np.delete(logs, out, axis=0)).sum(axis=0)  # (R,)

@@ -1,7 +1,5 @@
 """Per-frame oracle: a bound, not a policy that a robot could run."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Mapping
 from typing import Any
@@ -20,27 +18,17 @@ class Oracle:
     """Runs the cheapest technique after which the fused prediction is right, given what ran so far.
 
     Where none is right, the cheapest technique runs. It knows scores and ground truth beforehand,
-    from the constructor alone.
-
-    Args:
-        bank: scores and ground truth of the route.
-        settings: of SIC and MuSIC.
+    from the bank that it is made with.
     """
 
     def __init__(self, bank: ScoreBank, settings: SICSettings) -> None:
         self.bank = bank
         self.settings = settings
-        self.needs = Needs(
-            statistic=settings.statistic, carry=settings.carry, discount=settings.discount
-        )
+        self.needs = Needs(settings.statistic, settings.carry, settings.discount)
         self._order = np.argsort(bank.seconds, kind="stable").tolist()
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Begin the route anew.
-
-        Raises:
-            ValueError: for more than one route: the oracle knows one.
-        """
+        """Begin the route anew; a ValueError for several routes: the oracle knows one."""
         if mask.size != 1:
             raise ValueError(f"the oracle knows one route, not {mask.size}; run one at a time")
         foresight = _Belief if self.settings.statistic == "belief" else _Diagonals

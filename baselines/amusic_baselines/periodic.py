@@ -1,7 +1,5 @@
 """A subset on every Nth frame, and little or nothing between."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -4,15 +4,13 @@ Our reading: votes for places within the bank's tolerance of each other are vote
 A technique whose row is constant has no vote.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amusic_baselines.arguments import none
-from amusic_baselines.scores import every_row, standardised
+from amusic_baselines.scores import rows_of, standardised
 from amusic_gym.policies.protocol import Context, Run
 from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
@@ -45,7 +43,7 @@ class Plurality:
 
     def locate(self, frame: int, run: Run) -> tuple[int, float]:
         """The place with the most votes, and their share."""
-        return count_votes(every_row(run, self._techniques), self.tolerance)
+        return count_votes(rows_of(run, range(self._techniques)), self.tolerance)
 
 
 def plurality(argument: str | None, context: Context) -> Plurality:

@@ -1,7 +1,5 @@
 """One technique without correction: the best score of every row."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,6 +1,4 @@
-"""What policies that work on score rows themselves share: scaling, and peaks of a row."""
-
-from __future__ import annotations
+"""What policies that work on score rows themselves share: the rows, and their scaling."""
 
 from collections.abc import Sequence
 
@@ -14,13 +12,8 @@ RADIUS = 20
 """R: places to either side of a match that count as the same one (Hausler 2019; Nordland 10)."""
 
 
-def every_row(run: Run, techniques: int) -> NDArray[np.float64]:
-    """(T, R) rows of all techniques, each of which is charged; see `floored`."""
-    return rows_of(run, range(techniques))
-
-
 def rows_of(run: Run, techniques: Sequence[int]) -> NDArray[np.float64]:
-    """(n, R) rows of some techniques, as `every_row`."""
+    """(n, R) rows of techniques, each of which is charged; see `floored`."""
     rows = np.stack([run(technique) for technique in techniques])
     return floored(rows.astype(np.float64))
 
@@ -40,9 +33,3 @@ def scaled(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     lowest = rows.min(axis=-1, keepdims=True)
     span = rows.max(axis=-1, keepdims=True) - lowest
     return (rows - lowest) / np.where(span > 0, span, 1.0)
-
-
-def best_outside(values: NDArray[np.float64], place: int, radius: int) -> float | None:
-    """The highest value (R,) more than ``radius`` places from ``place``; None: no place is."""
-    sides = values[: max(0, place - radius)], values[place + radius + 1 :]
-    return max((float(side.max()) for side in sides if side.size), default=None)

@@ -1,7 +1,5 @@
 """Fixed subsets: one technique, several, or all of them (MuSIC, III-B)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,11 +12,7 @@ from amusic_gym.policies.registry import FIXED, RegisteredPolicy
 
 
 class Subset:
-    """Runs the same techniques on every frame.
-
-    Args:
-        columns: their indices.
-    """
+    """Runs the same techniques, whose indices are ``columns``, on every frame."""
 
     needs = Needs()
 

@@ -27,9 +27,7 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.policies.protocol import Context, Run
 from amusic_gym.policies.registry import PEER, RegisteredPolicy
 
-THRESHOLD = 0.7
-"""τ: correctness at which it stops."""
-
+THRESHOLD = 0.7  # τ: correctness at which it stops
 ROUTES = 48  # simulated routes to learn from, by the seeds 0, 1, ...
 FRAMES = 100  # of each
 GRID = 128  # scores at which the densities are evaluated
@@ -50,9 +48,7 @@ class Experience:
     def of(cls, banks: Sequence[ScoreBank], *, pooled: bool = False) -> Experience:
         """Learn from labelled routes with the same techniques in the same order.
 
-        Args:
-            banks: the routes.
-            pooled: one curve for all techniques instead of one for each.
+        ``pooled`` gives one curve for all techniques instead of one for each.
 
         Raises:
             ValueError: for no bank, or different techniques.
@@ -120,11 +116,7 @@ def _density(grid: NDArray[np.float64], sample: NDArray[np.float64]) -> NDArray[
 
 @lru_cache(maxsize=8)
 def simulated(techniques: int) -> Experience:
-    """Experience from simulated routes with T techniques, in order of rising cost.
-
-    Raises:
-        ValueError: for more techniques than can be simulated.
-    """
+    """Experience from simulated routes with T techniques, in order of rising cost."""
     from amusic_gym.routes.simulate import TECHNIQUE_NAMES, simulate
 
     if techniques > len(TECHNIQUE_NAMES):
@@ -158,11 +150,7 @@ class SwitchHit:
     threshold: float = THRESHOLD  # τ, correctness at which it stops
 
     def reset(self, references: int, techniques: int) -> None:
-        """Nothing to forget.
-
-        Raises:
-            ValueError: for another number of techniques than it has learned of.
-        """
+        """Nothing to forget; a ValueError for more or fewer techniques than it has learned of."""
         known = len(self.experience.helps)
         if techniques != known:
             raise ValueError(

@@ -1,7 +1,5 @@
 """Random subsets, the least a selector must beat."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,8 +1,7 @@
 """Value of information: the subset whose p̂ on the next frame is worth most, after its cost."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
@@ -13,15 +12,13 @@ from amusic_baselines.costs import cost_shares
 from amusic_gym.policies.protocol import Context, Needs
 from amusic_gym.policies.registry import IDLE, VOI, RegisteredPolicy
 
-KEEP = 0.9
-"""Share of a technique's record that is left after each further run."""
-
-LASTING = 0.99
-"""Probability that what a record says still holds one frame later."""
+KEEP = 0.9  # share of a technique's record that is left after each further run
+LASTING = 0.99  # probability that what a record says still holds one frame later
 
 FORM = "LAMBDA, voi:idle or voi:LAMBDA/idle"
 
 
+@dataclass(eq=False)
 class ValueOfInformation:
     """Runs the subset of the highest predicted p̂ − λ · compute share, searched greedily.
 
@@ -43,31 +40,20 @@ class ValueOfInformation:
     the product of what each lacks of 1. Techniques that fail together make that too high; how good
     the rule can be is bounded by how good p̂ is. A technique is not tried where λ · its compute
     share exceeds all that is left of p̂ to gain.
-
-    Args:
-        compute_weight: λ; None: the environment's.
-        idle: whether nothing may run; predicted for that is the decay of p̂. Some technique runs on
-            the first frame.
-        keep: share of a record that is left after each further run, in [0, 1).
-        lasting: probability that a record still holds one frame later, in (0, 1].
     """
 
-    def __init__(
-        self,
-        compute_weight: float | None = None,
-        *,
-        idle: bool = False,
-        keep: float = KEEP,
-        lasting: float = LASTING,
-    ) -> None:
+    compute_weight: float | None = None  # λ; None: the environment's
+    _: KW_ONLY
+    # whether nothing may run but on the first frame; predicted for that is the decay of p̂
+    idle: bool = False
+    keep: float = KEEP  # share of a record that is left after each further run, in [0, 1)
+    lasting: float = LASTING  # probability that a record still holds one frame later, in (0, 1]
+
+    def __post_init__(self) -> None:
         from amusic_gym.envs.observation import TECHNIQUE_FEATURES
         from amusic_gym.estimation.prediction import IDLE_DECAY  # these load Numba
 
-        self.needs = Needs(allow_idle=idle)
-        self.compute_weight = compute_weight
-        self.idle = idle
-        self.keep = keep
-        self.lasting = lasting
+        self.needs = Needs(allow_idle=self.idle)
         self._decay = IDLE_DECAY
         self._features, self._agrees = len(TECHNIQUE_FEATURES), TECHNIQUE_FEATURES.index("agrees")
         self._record = np.zeros((0, 0))  # (N, S)
@@ -100,8 +86,7 @@ class ValueOfInformation:
             frame: (N,) last frame of each route, -1 before the first.
         """
         age = np.maximum(frame[:, None] - self._last, 0)
-        promise: NDArray[np.float64] = 1.0 - (1.0 - self._record) * self.lasting**age
-        return promise
+        return 1.0 - (1.0 - self._record) * self.lasting**age
 
     def _begin(self, present: NDArray[np.bool_]) -> None:
         """Start the records of routes that have just begun."""
@@ -113,7 +98,6 @@ class ValueOfInformation:
         self._fresh[:] = False
 
     def _note(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> None:
-        """Take in the last frame."""
         routes, slots = info["present"].shape
         groups = observation[:, : slots * self._features].reshape(routes, slots, -1)
         estimate = info["p_correct"][:, None]

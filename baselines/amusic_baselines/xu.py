@@ -10,13 +10,11 @@ Xu, Sünderhauf, Milford: Probabilistic Visual Place Recognition for Hierarchica
    mass there; their neighbourhood ends one place earlier at its upper end.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from amusic_baselines.arguments import number, technique_parts, whole
 from amusic_baselines.scores import rows_of
@@ -31,30 +29,19 @@ FORM = "BACK/AHEAD/DELTA"
 FARTHEST = 10_000
 
 
+@dataclass(eq=False)
 class TopologicalFilter:
-    """Runs the same techniques on every frame; the place is the mean around the belief's peak.
+    """Runs the same techniques on every frame; the place is the mean around the belief's peak."""
 
-    Args:
-        columns: indices of the techniques that run.
-        back: most places backward per frame.
-        ahead: most places forward per frame.
-        delta: likelihood of the best places over the worst, by the span of a technique's first row.
-    """
-
-    def __init__(
-        self,
-        columns: Sequence[int],
-        back: int = BACK,
-        ahead: int = AHEAD,
-        delta: float = DELTA,
-    ) -> None:
-        self.columns = columns
-        self.back = back
-        self.moves = back + ahead + 1
-        self.delta = delta
+    columns: Sequence[int]  # indices of the techniques that run
+    back: int = BACK  # most places backward per frame
+    ahead: int = AHEAD  # most places forward per frame
+    # likelihood of the best places over the worst, by the span of a technique's first row
+    delta: float = DELTA
 
     def reset(self, references: int, techniques: int) -> None:
         """Know nothing of the place, nor of the spans of the scores."""
+        self.moves = self.back + self.ahead + 1
         self._belief = np.full(references, 1.0 / references)  # (R,)
         self._rates = np.zeros((len(self.columns), 1))  # λ, of techniques with a row so far
 
@@ -65,7 +52,10 @@ class TopologicalFilter:
         new = (self._rates == 0) & (high > low)
         self._rates[new] = math.log(self.delta) / (high - low)[new]
         evidence = (self._rates * (rows - rows.max(axis=1, keepdims=True))).sum(axis=0)  # (R,)
-        before = self._belief if frame == 0 else self._moved()
+        before = self._belief
+        if frame > 0:  # moves of one frame; what leaves the map is lost
+            spread = np.convolve(before, np.ones(self.moves))
+            before = spread[self.back : self.back + before.size]
         with np.errstate(divide="ignore"):  # of places that cannot be reached
             logs = np.log(before) + evidence
         belief = np.exp(logs - logs.max())
@@ -75,11 +65,6 @@ class TopologicalFilter:
         near = self._belief[first : peak + self.moves + 1]
         mass = float(near.sum())
         return first + round(float(near @ np.arange(near.size)) / mass), mass
-
-    def _moved(self) -> NDArray[np.float64]:
-        """Belief (R,) after one frame's moves; what leaves the map is lost."""
-        spread = np.convolve(self._belief, np.ones(self.moves))
-        return spread[self.back : self.back + self._belief.size]
 
 
 def xu(argument: str | None, context: Context) -> TopologicalFilter:

@@ -11,7 +11,7 @@ from amusic_gym.envs.pictures.scene import Scene, Trail
 
 if TYPE_CHECKING:
     from amusic_gym.envs.live_route import LiveRoute
-    from amusic_gym.live.navigation import FrameResult
+    from amusic_gym.live.drives import FrameResult
 
 
 class Pictures:

@@ -1,10 +1,8 @@
 """Precision-recall curves, and how far estimated correctness can be believed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +12,8 @@ from amusic_gym.evaluation.audit import held
 from amusic_gym.evaluation.plots import labels
 from amusic_gym.evaluation.plots.drawing import GREY, INK, figure_at, only, percent
 from amusic_gym.policies.registry import parse
+from amusic_gym.policies.trace import Trace
 from amusic_gym.utils.colours import CORRECT_COLOUR, WRONG_COLOUR, technique_colours, tint
-
-if TYPE_CHECKING:
-    from amusic_gym.policies.trace import Trace
-
 
 GOOD, FIRST_RECALL = 0.5, 0.1
 """AUC of the curves that the axis is fitted to, and the recall from which on."""
@@ -80,10 +75,8 @@ def reliability(
 ) -> Path:
     """Observed against SIC-estimated correctness, pooled over traces, above a histogram.
 
-    Bars are 95 % Wilson intervals; frames without an estimate are left out.
-
-    Raises:
-        ValueError: no frame of any trace has an estimate.
+    Bars are 95 % Wilson intervals; frames without an estimate are left out, and it is a ValueError
+    where none has one.
     """
     from scipy.stats import binomtest
 
@@ -132,13 +125,18 @@ def _identity(trace: Trace) -> tuple[str, float | None]:
     return trace.policy, trace.compute_weight
 
 
-def _line(trace: Trace, traces: Sequence[Trace]) -> Any:
-    """The line of a selector's curve by its compute weight; None for other policies."""
+def _place(trace: Trace, traces: Sequence[Trace]) -> float | None:
+    """Where its λ stands among those of the policy, in [0, 1]; None where it is the only one."""
     weights = sorted(w for p, w in map(_identity, traces) if p == trace.policy and w is not None)
     if trace.compute_weight is None or len(weights) < 2:
         return None
-    place = weights.index(trace.compute_weight) / (len(weights) - 1)
-    return SHADES[round(place * (len(SHADES) - 1))]
+    return weights.index(trace.compute_weight) / (len(weights) - 1)
+
+
+def _line(trace: Trace, traces: Sequence[Trace]) -> Any:
+    """The line of a selector's curve by its compute weight; None for other policies."""
+    place = _place(trace, traces)
+    return None if place is None else SHADES[round(place * (len(SHADES) - 1))]
 
 
 def _curve_colours(traces: Sequence[Trace]) -> dict[tuple[str, float | None], Any]:
@@ -150,11 +148,8 @@ def _curve_colours(traces: Sequence[Trace]) -> dict[tuple[str, float | None], An
     for trace in traces:
         policy, argument = parse(trace.policy)
         if trace.compute_weight is not None:
-            weights = sorted(
-                w for p, w in map(_identity, traces) if p == trace.policy and w is not None
-            )
-            place = np.searchsorted(weights, trace.compute_weight) / max(1, len(weights) - 1)
-            colours[_identity(trace)] = tint(sweeps[trace.policy], 0.45 + 0.55 * float(place))
+            place = _place(trace, traces) or 0.0
+            colours[_identity(trace)] = tint(sweeps[trace.policy], 0.45 + 0.55 * place)
         else:
             colours[_identity(trace)] = policy.colour or techniques.get(argument or "", GREY)
     return colours

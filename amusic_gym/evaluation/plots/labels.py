@@ -4,15 +4,11 @@ Colours are taken from Okabe and Ito's and Tol's sets, made for every common kin
 their bright yellow is left out, it vanishes on white.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from amusic_gym.policies.registry import parse
-
-if TYPE_CHECKING:
-    from amusic_gym.policies.trace import Trace
+from amusic_gym.policies.trace import Trace
 
 SWEEP_COLOURS = ("#D55E00", "#7B3294", "#008837", "#A50F15")  # one per policy with λ
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from amusic_gym.evaluation import metrics
 from amusic_gym.evaluation.plots import labels
 from amusic_gym.evaluation.plots.drawing import GREY, INK, figure_at, only, percent
+from amusic_gym.policies.trace import Trace
 from amusic_gym.utils.colours import (
     CORRECT_COLOUR,
     NEUTRAL_COLOUR,
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-    from amusic_gym.policies.trace import Trace
-
 LEAST_SHARE_NAMED = 0.06  # narrower bar segments carry no number
 
 
@@ -35,12 +34,8 @@ def selections(
     """Which techniques ran along the route, a panel per trace.
 
     One lane per technique, filled where it ran on the frame, hatched where it ran after the fact;
-    lines at selections; the share of frames on the right; below, where the place was wrong.
-
-    Args:
-        traces: of one bank.
-        path: of the picture.
-        parts: first frame and name of each part of the route, which dotted lines part.
+    lines at selections; the share of frames on the right; below, where the place was wrong. Dotted
+    lines part the ``parts`` of the route, given by first frame and name.
     """
     bank = only({trace.bank for trace in traces}, "bank", "traces")
     lanes = [len(trace.techniques) for trace in traces]

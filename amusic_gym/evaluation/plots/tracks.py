@@ -1,7 +1,5 @@
 """Two tracks seen from above, and which places of the one the frames of the other are taken for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +13,7 @@ from amusic_gym.utils.colours import CORRECT_COLOUR, WRONG_COLOUR
 def draw_matches(bank: ScoreBank, here: Positions, there: Positions, path: str | Path) -> Path:
     """For each technique, whether its row alone ranks a true place first, and a line where not.
 
-    Args:
-        bank: scores and ground truth.
-        here: R positions of the map.
-        there: Q positions of the run.
-        path: the PNG file.
+    ``here`` are the R positions of the map, ``there`` the Q of the run; ``path`` is a PNG file.
     """
     from matplotlib.collections import LineCollection
 

@@ -79,12 +79,6 @@ def pareto(rows: Sequence[Row]) -> list[Row]:
     return kept
 
 
-def family_of(row: Row) -> str:
-    """The family of a study's row; of another that of its policy."""
-    family: str = row.get("family") or parse(row["policy"]).policy.family
-    return family
-
-
 def draw_front(
     axes: Axes, best: Sequence[Row], colour: str, marker: str, label: str, line: str = "-"
 ) -> None:
@@ -106,15 +100,12 @@ def draw_front(
 
 
 def draw_subsets(axes: Axes, rows: Sequence[Row], most: int, least_gain: float = 0.0) -> list[Note]:
-    """All fixed subsets and their front; the names of those that raise it most.
+    """All fixed subsets and their front; the names of the ``most`` that raise it most.
 
-    Args:
-        axes: where.
-        rows: of all policies.
-        most: names.
-        least_gain: AUC by which a named one raises the front.
+    A named one raises the AUC of the front by ``least_gain``.
     """
-    fixed = [row for row in rows if family_of(row) == FIXED]
+    # The row of a study has its family.
+    fixed = [r for r in rows if (r.get("family") or parse(r["policy"]).policy.family) == FIXED]
     if not fixed:
         return []
     axes.plot(

@@ -1,9 +1,9 @@
 """The paper's figures 3 to 7, and one of the sweep of E and M, each as PNG and PDF."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +16,16 @@ from amusic_gym.evaluation.reproduction.paper import METHODS, TECHNIQUES, TITLES
 from amusic_gym.evaluation.reproduction.sweeps import BLOCKS, CANDIDATES, COVERAGES, HISTORIES
 from amusic_gym.evaluation.reproduction.tables import Cells
 from amusic_gym.policies.trace import Trace
+from amusic_gym.routes.datasets import LoadedRoute
 from amusic_gym.utils.colours import PAPER_COLOURS, sequence, tint
 
 Rows = Sequence[Mapping[str, Any]]
 
 
-def both(draw: Callable[[Path], object], path: Path, caption: str) -> ReportFigure:
-    """Draw a figure as PNG and as PDF."""
-    draw(path.with_suffix(".pdf"))
-    draw(path)
+def both(draw: Callable[[Any, Path], object], of: Any, path: Path, caption: str) -> ReportFigure:
+    """Draw a figure of something as PNG and as PDF."""
+    draw(of, path.with_suffix(".pdf"))
+    draw(of, path)
     return ReportFigure(path, caption)
 
 
@@ -86,43 +87,40 @@ def drives(traces: Sequence[Trace], out: Path) -> Iterator[ReportFigure]:
     by_bank = {name: [t for t in traces if t.bank == name] for name in TITLES}
     by_bank = {name: own for name, own in by_bank.items() if own}
     for name, own in by_bank.items():
-        scored = [  # recall relative to the correct matches, as in `auc_paper`
-            replace(t, confidence=t.similarity, has_place=t.correct) for t in own
-        ]
+        # recall relative to the correct matches, as in `auc_paper`
+        scored = [replace(t, confidence=t.similarity, has_place=t.correct) for t in own]
         yield both(
-            lambda path, scored=scored: plots.precision_recall(scored, path),  # type: ignore[misc]
+            plots.precision_recall,
+            scored,
             out / f"figure5-{name}.png",
             f"Figure 5, {TITLES[name]}: precision and recall over the similarity of the match.",
         )
     music = [t for own in by_bank.values() for t in own if t.policy == METHODS["MuSIC"]]
     yield both(
-        lambda path: plots.shares(music, path),
+        plots.shares,
+        music,
         out / "figure6.png",
         "Figure 6: which technique MuSIC takes its match from.",
     )
     for name, own in by_bank.items():
         adaptive = [trace for trace in own if trace.policy == METHODS["A-MuSIC"]]
         yield both(
-            lambda path, adaptive=adaptive: plots.selections(adaptive, path),  # type: ignore[misc]
+            plots.selections,
+            adaptive,
             out / f"figure7-{name}.png",
             f"Figure 7, {TITLES[name]}: what A-MuSIC runs; lines are selections.",
         )
 
 
 def one_drive(
-    traces: Sequence[Trace], parts: Sequence[tuple[int, str]], path: Path
-) -> ReportFigure:
-    """Figure 7 of the data sets in one drive.
-
-    Args:
-        traces: of the drive.
-        parts: first frame and data set of each part.
-        path: of the PNG.
-    """
-    adaptive = [trace for trace in traces if trace.policy == METHODS["A-MuSIC"]]
-    named = [(first, TITLES[name]) for first, name in parts]
-    return both(
-        lambda path: plots.selections(adaptive, path, parts=named),
-        path,
+    traces: Sequence[Trace], parts: Sequence[LoadedRoute], out: Path
+) -> Iterator[ReportFigure]:
+    """Figure 7 of the data sets in one drive."""
+    firsts = accumulate((len(part.query) for part in parts), initial=0)
+    named = [(first, TITLES[part.name]) for first, part in zip(firsts, parts, strict=False)]
+    yield both(
+        partial(plots.selections, parts=named),
+        [trace for trace in traces if trace.policy == METHODS["A-MuSIC"]],
+        out / f"figure7-{traces[0].bank}.png",
         f"Figure 7, {', '.join(name for _, name in named)} in one drive: what A-MuSIC runs.",
     )

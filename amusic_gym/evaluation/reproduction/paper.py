@@ -1,11 +1,10 @@
 """The paper's methods and what it says they reach (A-MuSIC, tables II and III)."""
 
-from __future__ import annotations
-
-import json
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
 from typing import Any
+
+from amusic_gym.utils.reading import read_json
 
 TECHNIQUES = ("HOG", "CALC", "CoHOG", "NetVLAD")
 
@@ -31,6 +30,5 @@ TITLES = {
 @cache
 def figures() -> dict[str, Any]:
     """``auc`` and ``milliseconds`` [data set][method], ``adaptation`` [data set] (table III)."""
-    text = files("amusic_gym.evaluation.reproduction").joinpath("paper.json").read_text("utf-8")
-    table: dict[str, Any] = json.loads(text)
+    table: dict[str, Any] = read_json(Path(__file__).with_suffix(".json"), "install it again")
     return table

@@ -1,10 +1,7 @@
 """The paper's data sets as banks, and what of them differs from the paper's."""
 
-from __future__ import annotations
-
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,31 +11,13 @@ from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.extraction import extract
 from amusic_gym.routes.datasets import DATASETS, LoadedRoute, load_dataset
 from amusic_gym.routes.folders import ImageFolder
-from amusic_gym.techniques import make_technique
+from amusic_gym.techniques import Technique
 
-ONE_DRIVE = "one_drive"
-"""Name of the data sets joined."""
-
-SMALL = 100
-"""Images with a side of fewer pixels are not the paper's."""
+ONE_DRIVE = "one_drive"  # name of the data sets joined
+SMALL = 100  # images with a side of fewer pixels are not the paper's
 
 
-@dataclass(frozen=True)
-class Route:
-    """A data set of the paper.
-
-    Attributes:
-        name: of the data set.
-        found: its images and what is true; None where its folders are not there.
-        remarks: what differs from the paper, or what is missing.
-    """
-
-    name: str
-    found: LoadedRoute | None
-    remarks: tuple[str, ...]
-
-
-def load(name: str, root: str | os.PathLike[str]) -> tuple[LoadedRoute, tuple[str, ...]]:
+def load(name: str, root: str | os.PathLike[str]) -> tuple[LoadedRoute, list[str]]:
     """A data set and what differs from the paper's.
 
     Of a folder with more images than the paper took, as many at even distances, from the first on.
@@ -61,19 +40,7 @@ def load(name: str, root: str | os.PathLike[str]) -> tuple[LoadedRoute, tuple[st
     height, width = found.reference[0].shape[:2]
     if min(height, width) < SMALL:
         remarks.append(f"images of {width}×{height} pixels")
-    return found, tuple(remarks)
-
-
-def find(name: str, root: str | os.PathLike[str]) -> Route:
-    """A data set, or why it is not there.
-
-    Raises:
-        ValueError: for folders that do not match.
-    """
-    try:
-        return Route(name, *load(name, root))
-    except FileNotFoundError as error:
-        return Route(name, None, (str(error),))
+    return found, remarks
 
 
 def joined(parts: Sequence[LoadedRoute]) -> LoadedRoute:
@@ -82,9 +49,6 @@ def joined(parts: Sequence[LoadedRoute]) -> LoadedRoute:
     Figure 7 and the words on it suggest such a drive: "when entering the Fall sequence". Where two
     have the same reference, as Winter and Fall do, the map shows its places twice, and both are
     true.
-
-    Args:
-        parts: in the order of the drive.
     """
     begins = np.cumsum([0, *(len(part.reference) for part in parts)]).tolist()
     true = []
@@ -112,26 +76,15 @@ def joined(parts: Sequence[LoadedRoute]) -> LoadedRoute:
 def extracted(
     found: LoadedRoute,
     out: Path,
-    *,
-    techniques: Sequence[str],
-    weights: Mapping[str, str],
+    techniques: Sequence[Technique],
     cache: str | os.PathLike[str] | None,
     executor: str,
 ) -> ScoreBank:
-    """A data set's scores, extracted to ``out`` / its name; see `extract`.
-
-    Args:
-        found: the data set.
-        out: where the banks are.
-        techniques: as `make_technique` takes them.
-        weights: technique → file of weights, for those that are not to be the ones that ship.
-        cache: see `extract`.
-        executor: see `extract`.
-    """
+    """A data set's scores, extracted to ``out`` / its name; see `extract`."""
     return extract(
         found.reference,
         found.query,
-        [make_technique(each, weights.get(each)) for each in techniques],
+        techniques,
         tolerance=found.tolerance,
         ground_truth=found.ground_truth,
         cache=cache,

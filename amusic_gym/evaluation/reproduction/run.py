@@ -1,23 +1,20 @@
 """All of the paper's experiments in one go."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
-from itertools import accumulate
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from amusic_gym.evaluation.comparison import compare
 from amusic_gym.evaluation.contestants import contestants
 from amusic_gym.evaluation.report import ReportFigure, write_report
 from amusic_gym.evaluation.reproduction import figures, sweeps, tables
 from amusic_gym.evaluation.reproduction.paper import METHODS, TECHNIQUES, TITLES
-from amusic_gym.evaluation.reproduction.routes import extracted, find, joined
+from amusic_gym.evaluation.reproduction.routes import extracted, joined, load
 from amusic_gym.evaluation.tables import Table
 from amusic_gym.policies.trace import Trace
-from amusic_gym.routes.datasets import LoadedRoute
+from amusic_gym.techniques import make_technique
 from amusic_gym.utils.storage import write_whole
 
 SHIPS = ("calc", "netvlad")
@@ -34,19 +31,18 @@ def reproduce(
     executor: str = "serial",
     report: Callable[[str], None] = print,
 ) -> Path:
-    """Run the experiments on those data sets that are there; write tables, figures and a page.
+    """Run the experiments on those data sets that are there; write tables, figures and the page.
+
+    What is finished in ``out`` is not done again.
 
     Args:
         root: the folder that holds the data sets' folders.
-        out: the folder to write; what is finished there is not done again.
+        out: the folder to write.
         datasets: of the paper's.
         weights: technique → file of weights; of the others those that ship.
         cache: see `amusic_gym.extraction.extract`.
         executor: likewise.
         report: is given one line per finished piece.
-
-    Returns:
-        The page.
 
     Raises:
         FileNotFoundError: if none of the data sets is there, or a file of weights is not.
@@ -55,28 +51,31 @@ def reproduce(
     weights = dict(weights or {})
     ships = [f"weights of {name} that ship" for name in SHIPS if name not in weights]
     remarks: dict[str, Sequence[str]] = dict.fromkeys(TITLES, ("not asked for",))
-    routes = [find(name, root) for name in datasets]
-    for route in routes:  # before hours of work
-        remarks[route.name] = (*route.remarks, *(ships if route.found is not None else []))
-        report(f"{TITLES[route.name]}: {'; '.join(remarks[route.name]) or 'as in the paper'}")
-    there = [route.found for route in routes if route.found is not None]
+    there = []
+    for name in datasets:  # before hours of work
+        try:
+            found, differs = load(name, root)
+            there.append(found)
+            remarks[name] = [*differs, *ships]
+        except FileNotFoundError as error:
+            remarks[name] = [str(error)]
+        report(f"{TITLES[name]}: {'; '.join(remarks[name]) or 'as in the paper'}")
     if not there:
-        raise FileNotFoundError(f"none of the data sets is there: {routes[0].remarks[0]}")
-    names = [name.lower() for name in TECHNIQUES]
-    how: dict[str, Any] = {"weights": weights, "cache": cache, "executor": executor}
-    banks = [extracted(found, out / "banks", techniques=names, **how) for found in there]
+        raise FileNotFoundError(f"none of the data sets is there: {remarks[datasets[0]][0]}")
+    techniques = [make_technique(name, weights.get(name)) for name in map(str.lower, TECHNIQUES)]
+    bank_of = partial(
+        extracted, out=out / "banks", techniques=techniques, cache=cache, executor=executor
+    )
+    banks = [bank_of(found) for found in there]
 
-    paper = compare(
-        banks, lambda _: contestants([*METHODS.values()]), out, statistic="mean", report=report
-    )
-    drive = _driven_in_one(there, out, how, report)
-    swept = compare(
-        banks,
-        lambda _: contestants(sweeps.ADAPTIVE),
-        out / "sweep",
-        statistic="mean",
-        report=report,
-    )
+    run = partial(compare, statistic="mean", report=report)
+    methods = contestants([*METHODS.values()])
+    paper = run(banks, lambda _: methods, out)
+    drive = []  # of a single data set there is none
+    if len(there) > 1:
+        whole = bank_of(joined(there))
+        drive = run([whole], lambda _: methods, out / whole.name).traces
+    swept = run(banks, lambda _: contestants(sweeps.ADAPTIVE), out / "sweep")
     report("Figure 3: accuracy of SIC with other K and F")
     ablated = []
     for row in sweeps.ablate(banks):
@@ -97,7 +96,7 @@ def reproduce(
         rows=[*paper.mean, *paper.rows],
         figures=[
             *_draw(ablated, cells, paper.traces, swept.mean, out),
-            *_drawn_in_one(there, drive, out),
+            *(figures.one_drive(drive, there, out) if drive else []),
         ],
         traces=paper.traces,
         images=paper.images,
@@ -108,32 +107,6 @@ def reproduce(
         ],
         tables=shown,
     )
-
-
-def _driven_in_one(
-    there: Sequence[LoadedRoute],
-    out: Path,
-    how: Mapping[str, Any],
-    report: Callable[[str], None],
-) -> list[Trace]:
-    """Traces of all methods along the data sets as one drive; of a single one there is none."""
-    if len(there) < 2:
-        return []
-    names = [name.lower() for name in TECHNIQUES]
-    bank = extracted(joined(there), out / "banks", techniques=names, **how)
-    made = contestants([*METHODS.values()])
-    driven = compare([bank], lambda _: made, out / bank.name, statistic="mean", report=report)
-    return list(driven.traces)
-
-
-def _drawn_in_one(
-    there: Sequence[LoadedRoute], drive: Sequence[Trace], out: Path
-) -> list[ReportFigure]:
-    if not drive:
-        return []
-    firsts = accumulate((len(found.query) for found in there), initial=0)
-    parts = [(first, found.name) for first, found in zip(firsts, there, strict=False)]
-    return [figures.one_drive(drive, parts, out / f"figure7-{drive[0].bank}.png")]
 
 
 def _write_tables(
@@ -167,21 +140,23 @@ def _draw(
     swept: figures.Rows,
     out: Path,
 ) -> list[ReportFigure]:
-    """Figures 3 to 7 and the sweep of E and M."""
     return [
         figures.both(
-            lambda path: figures.ablation(ablated, path),
+            figures.ablation,
+            ablated,
             out / "figure3.png",
             "Figure 3: what K and F of SIC do; the mean over data sets and techniques.",
         ),
         figures.both(
-            lambda path: figures.accuracies(cells, path),
+            figures.accuracies,
+            cells,
             out / "figure4.png",
             "Figure 4: accuracy of the techniques, pale alone and full with SIC.",
         ),
         *figures.drives(traces, out),
         figures.both(
-            lambda path: figures.sweep(swept, path),
+            figures.sweep,
+            swept,
             out / "sweep.png",
             "A-MuSIC with other E and M than the paper's .7 and 10; the mean over data sets.",
         ),

@@ -1,7 +1,5 @@
 """What K and F of SIC, and E and M of A-MuSIC, do (A-MuSIC, IV-C and figure 3)."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -12,17 +10,10 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.estimation.sic.correction import SIC
 
-CANDIDATES = (1, 2, 5, 10, 20, 50, 100)
-"""K of figure 3."""
-
-HISTORIES = (1, 10, 100, 1000)
-"""F of figure 3, frames."""
-
-BLOCKS = (5, 10, 20, 40)
-"""M, frames."""
-
-COVERAGES = (0.5, 0.6, 0.7, 0.8, 0.9)
-"""E."""
+CANDIDATES = (1, 2, 5, 10, 20, 50, 100)  # K of figure 3
+HISTORIES = (1, 10, 100, 1000)  # F of figure 3, frames
+BLOCKS = (5, 10, 20, 40)  # M, frames
+COVERAGES = (0.5, 0.6, 0.7, 0.8, 0.9)  # E
 
 ADAPTIVE = [f"amusic:mean/{block}/{coverage}" for block in BLOCKS for coverage in COVERAGES]
 """A-MuSIC with every M and E."""
@@ -38,7 +29,11 @@ def ablate(banks: Sequence[ScoreBank]) -> Iterator[dict[str, Any]]:
     for candidates in CANDIDATES:
         for history in HISTORIES:
             settings = SICSettings("mean", candidates=candidates, history=history)
-            runs = [_corrected(bank, t, settings) for bank in banks for t in _techniques(bank)]
+            runs = [
+                _corrected(bank, technique, settings)
+                for bank in banks
+                for technique in range(len(bank.techniques))
+            ]
             accuracy, milliseconds = np.array(runs).T
             yield {
                 "candidates": candidates,
@@ -46,10 +41,6 @@ def ablate(banks: Sequence[ScoreBank]) -> Iterator[dict[str, Any]]:
                 "accuracy": float(accuracy.mean()),
                 "milliseconds": float(np.median(milliseconds)),
             }
-
-
-def _techniques(bank: ScoreBank) -> range:
-    return range(len(bank.techniques))
 
 
 def _corrected(bank: ScoreBank, technique: int, settings: SICSettings) -> tuple[float, float]:

@@ -1,7 +1,5 @@
 """Tables II and III beside the paper's figures: as words, CSV and LaTeX in the paper's layout."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Mapping, Sequence
@@ -20,8 +18,7 @@ MISSING = "–"
 TOGETHER = "in one drive"
 DIGITS = {"ptr": 2, "technique_runs": 0, "re_selections": 0}
 
-Cells = dict[str, dict[str, dict[str, float]]]
-"""Data set → method → number by name."""
+Cells = dict[str, dict[str, dict[str, float]]]  # data set → method → number by name
 
 
 def performance(traces: Sequence[Trace]) -> Cells:

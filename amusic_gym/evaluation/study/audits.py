@@ -1,7 +1,5 @@
 """The audit of a study: p̂ of every policy against the truth, and where the two part."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -23,7 +21,9 @@ def audit_rows(cells: Sequence[Row]) -> list[tuple[Row, str | None]]:
         if name is None or cell["family"] == BOUND or cell["p_correct"] is None:
             continue
         key = name, cell["condition"], cell["bank"]
-        groups.setdefault(key, []).append((_which(cell, name), _audit(cell)))
+        values = {field: cell[field] for field in ("p_correct", "auroc", "calibration_error")}
+        held = Audit(accuracy=cell["p_correct"] - cell["gap"], **values)
+        groups.setdefault(key, []).append((_which(cell, name), held))
     names = list(dict.fromkeys(name for name, _, _ in groups))
     ordered = sorted(groups, key=lambda key: names.index(key[0]))
     return [_audited(*key, groups[key]) for key in ordered]
@@ -52,15 +52,6 @@ def _audited(
         "greatest_calibration_error": max(errors),
     }
     return row, parting(f"{name} on {route}, {CONDITIONS[condition]}", audits, above_only=True)
-
-
-def _audit(cell: Row) -> Audit:
-    return Audit(
-        p_correct=cell["p_correct"],
-        accuracy=cell["p_correct"] - cell["gap"],
-        auroc=cell["auroc"],
-        calibration_error=cell["calibration_error"],
-    )
 
 
 def _which(cell: Row, name: str) -> str:

@@ -1,7 +1,5 @@
 """One cell of a study: a policy with one λ on one route, moving in one way."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,11 +23,7 @@ Measures = dict[str, Any]
 
 
 class Bench:
-    """What a worker holds to run cells.
-
-    Args:
-        banks: the recordings.
-    """
+    """What a worker holds to run cells: the recordings."""
 
     name = "study"  # as executors call what they hand to their workers
 
@@ -51,27 +45,18 @@ class Bench:
 
 @dataclass(frozen=True)
 class Cell:
-    """A piece of work for executors: the same numbers in any process, in any order.
+    """A piece of work for executors: the same numbers in any process, in any order."""
 
-    Attributes:
-        path: stem of the file that keeps its numbers; changes with all that may change them.
-        labels: what it is, for tables: see `LABELS`.
-        bank: index in the bench.
-        make: builds the policy; a function of a module, or a partial of one.
-        chosen: ``statistic``, ``carry`` and ``discount`` of a policy that does not bring its own.
-        retiming: seed of the motion; None: as recorded.
-        seed: for policies that draw.
-        size: frames.
-    """
-
-    path: str
-    labels: Mapping[str, Any]
-    bank: int
+    path: str  # stem of the file that keeps its numbers; changes with all that may change them
+    labels: Mapping[str, Any]  # what it is, for tables: see `LABELS`
+    bank: int  # index in the bench
+    # builds the policy; a function of a module, or a partial of one
     make: Callable[[Context], Policy]
+    # ``statistic``, ``carry`` and ``discount`` of a policy that does not bring its own
     chosen: Mapping[str, Any]
-    retiming: int | None
-    seed: int
-    size: int
+    retiming: int | None  # seed of the motion; None: as recorded
+    seed: int  # for policies that draw
+    size: int  # frames
 
     def __str__(self) -> str:
         """For a person: route, condition and seed, policy and λ."""
@@ -114,8 +99,7 @@ LABELS = (
 AUDITED = ("p_correct", "gap", "auroc", "calibration_error")
 """Of p̂ over a cell's frames: its mean, its mean minus the accuracy, and its quality."""
 
-MEASURED = ("queries", *metrics.AVERAGED, *AUDITED)
-"""A cell's numbers."""
+MEASURED = ("queries", *metrics.AVERAGED, *AUDITED)  # a cell's numbers
 
 
 def measure(trace: Trace) -> Measures:

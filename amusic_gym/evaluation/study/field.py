@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.evaluation.study.fronts import Numbers
 
-REPLICATES = 1000
-"""Of a bootstrap."""
+REPLICATES = 1000  # of a bootstrap
 
 LEVEL = 0.95
 
@@ -31,32 +30,19 @@ class Point(NamedTuple):
 
 @dataclass(frozen=True)
 class Field:
-    """P points on R routes with S seeds; nan where a point is not on a route.
+    """P points on R routes with S seeds; nan where a point is not on a route."""
 
-    Attributes:
-        points: P.
-        routes: R names.
-        auc: (P, R, S).
-        compute: (P, R, S).
-        varied: (P,) whether seeds make a difference.
-    """
-
-    points: tuple[Point, ...]
-    routes: tuple[str, ...]
-    auc: Numbers
-    compute: Numbers
-    varied: NDArray[np.bool_]
+    points: tuple[Point, ...]  # P
+    routes: tuple[str, ...]  # R names
+    auc: Numbers  # (P, R, S)
+    compute: Numbers  # (P, R, S)
+    varied: NDArray[np.bool_]  # (P,) whether seeds make a difference
 
     @classmethod
     def of(cls, cells: Sequence[Mapping[str, Any]], routes: Sequence[str], seeds: int) -> Field:
-        """The field of the cells of one condition.
+        """The field of the cells of one condition, those of a point and route by seed, S of them.
 
         A cell that no seed changes stands for all of them.
-
-        Args:
-            cells: labels and numbers, those of a point and route in the order of the seeds.
-            routes: R names.
-            seeds: S.
         """
         groups: dict[Point, dict[str, list[Mapping[str, Any]]]] = {}
         for cell in cells:

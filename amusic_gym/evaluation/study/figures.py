@@ -34,9 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ROUTES_PER_FIGURE = 4
-LEAST_ROUTES = 5
-"""From so many routes on, bands are over seeds and routes; with fewer, over seeds."""
-
+LEAST_ROUTES = 5  # from so many routes on, bands are over seeds and routes; with fewer, over seeds
 MOST_NAMES = 4  # fixed subsets named in a panel, of those that raise the front by so much:
 LEAST_GAIN = 0.01
 FRAMED = (FIXED, CASCADE, AMUSIC, LEARNED)

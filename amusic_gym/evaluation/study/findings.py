@@ -1,7 +1,5 @@
 """What a study found: points, fronts, margins and the audit of p̂, as plain rows."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -32,42 +30,26 @@ from amusic_gym.utils.storage import write_whole
 RESULTS = "study.json"
 FORMAT_VERSION = 3
 
-SHOWN_COMPUTES = (0.05, 0.1, 0.2, 0.4, 1.0)
-"""Computes at which tables show a front."""
-
-LEAST_GAP = 0.02
-"""Where single and virtual best are closer than this, there is no gap to speak of."""
-
-EVERYONE = "all of these"
-"""The rivals of a learned selector together."""
+SHOWN_COMPUTES = (0.05, 0.1, 0.2, 0.4, 1.0)  # computes at which tables show a front
+LEAST_GAP = 0.02  # where single and virtual best are closer than this, there is no gap to speak of
+EVERYONE = "all of these"  # the rivals of a learned selector together
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What came out of a study; rows of plain values.
+    """What came out of a study; rows of plain values."""
 
-    Attributes:
-        settings: what was run, and how the numbers were reckoned.
-        routes: as in the plan.
-        cells: labels and numbers of every cell.
-        points: a policy with one λ under one condition, on one route or their ``mean``.
-        fronts: of the fixed subsets, of every family of rules, of every other policy.
-        margins: of every learned selector over its rivals.
-        matches: of every point of a learned selector with the best point of each kind of rival at
-            no more compute.
-        audit: p̂ against the truth, of every policy or family that gives p̂.
-        warnings: what must not be overlooked.
-    """
-
-    settings: Row
-    routes: list[Row]
-    cells: list[Row]
-    points: list[Row]
-    fronts: list[Row]
-    margins: list[Row]
+    settings: Row  # what was run, and how the numbers were reckoned
+    routes: list[Row]  # as in the plan
+    cells: list[Row]  # labels and numbers of every cell
+    points: list[Row]  # a policy with one λ under one condition, on one route or their ``mean``
+    fronts: list[Row]  # of the fixed subsets, of every family of rules, of every other policy
+    margins: list[Row]  # of every learned selector over its rivals
+    # of every point of a learned selector with the best point of each kind of rival at no
+    # more compute
     matches: list[Row]
-    audit: list[Row]
-    warnings: list[str]
+    audit: list[Row]  # p̂ against the truth, of every policy or family that gives p̂
+    warnings: list[str]  # what must not be overlooked
 
     def write(self, folder: str | Path) -> Path:
         """Write `RESULTS`, whole or not at all."""
@@ -77,13 +59,10 @@ class Findings:
 
 
 def find(plan: Plan, finished: Finished, *, rivals: Iterable[str] = ()) -> Findings:
-    """Reckon everything from a study's cells.
+    """Reckon everything from all cells of a study.
 
-    Args:
-        plan: of the study.
-        finished: all its cells.
-        rivals: names of learned selectors that the others must beat, for example an imitation of
-            the cascade; the families of `FRONTS` are rivals anyway.
+    ``rivals`` are names of learned selectors that the others must beat, for example an imitation
+    of the cascade; the families of `FRONTS` are rivals anyway.
     """
     rivals = tuple(rivals)
     names = [route["bank"] for route in plan.routes]
@@ -115,9 +94,6 @@ def find(plan: Plan, finished: Finished, *, rivals: Iterable[str] = ()) -> Findi
         audit=[row for row, _ in audits],
         warnings=[line for _, line in audits if line is not None],
     )
-
-
-# ---- points, fronts, margins -----------------------------------------------------------------
 
 
 class _Scope:
@@ -197,7 +173,7 @@ class _Scope:
                     "family": own.points[0].family,
                     "points": len(own.points),
                     "begins": float(compute.min()),
-                    "auc_at": _numbers(front_at(compute, auc, SHOWN_COMPUTES)),
+                    "auc_at": [_number(v) for v in front_at(compute, auc, SHOWN_COMPUTES)],
                     "cheapest": self.cheapest,
                     "hypervolume": _number(hypervolume(compute, auc, self.cheapest)),
                     "hypervolume_interval": interval(volumes) if varied else None,
@@ -338,7 +314,3 @@ def _gap(row: Row, fixed: Sequence[Row]) -> float | None:
 
 def _number(value: Any) -> float | None:
     return None if np.isnan(value) else float(value)
-
-
-def _numbers(values: Numbers) -> list[float | None]:
-    return [_number(value) for value in values]

@@ -4,22 +4,15 @@ A front says: the best AUC at no more than that compute. All functions take the 
 front in the last axis; axes before it are copies of the whole, such as bootstrap replicates.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 GRID = np.geomspace(0.01, 1.0, 101)
 """Computes at which fronts are compared: 1 % to 100 %, each 4.7 % dearer than the one before."""
 
-BAND = (0.05, 0.4)
-"""Compute between which a selector must be ahead somewhere."""
-
-REFERENCE_AUC = 0.5
-"""Of the hypervolume: what lies below this AUC counts for nothing."""
-
-ROUNDING = 1e-9
-"""Computes this close to each other, relatively, are equal."""
+BAND = (0.05, 0.4)  # compute between which a selector must be ahead somewhere
+REFERENCE_AUC = 0.5  # of the hypervolume: what lies below this AUC counts for nothing
+ROUNDING = 1e-9  # computes this close to each other, relatively, are equal
 
 Numbers = NDArray[np.float64]
 

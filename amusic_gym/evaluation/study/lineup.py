@@ -1,7 +1,5 @@
 """The entrants of a study: policies by their names, and groups of trained selectors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,21 +13,14 @@ from amusic_gym.utils.names import suggest
 
 @dataclass(frozen=True)
 class Lineup:
-    """What the command line asks for.
+    """What the command line asks for."""
 
-    Attributes:
-        policies: specs, with ``@STATISTIC`` for one under another statistic.
-        selectors: name → specs of its trained runs, one per seed.
-        all_subsets: whether all fixed subsets are added.
-        insisted: what the user insists on: ``statistic``, ``carry``, ``discount``; None: nothing.
-        compute_weights: λ of the learned selectors.
-    """
-
-    policies: tuple[str, ...]
-    selectors: dict[str, tuple[str, ...]]
-    all_subsets: bool
+    policies: tuple[str, ...]  # specs, with ``@STATISTIC`` for one under another statistic
+    selectors: dict[str, tuple[str, ...]]  # name → specs of its trained runs, one per seed
+    all_subsets: bool  # whether all fixed subsets are added
+    # what the user insists on: ``statistic``, ``carry``, ``discount``; None: nothing
     insisted: dict[str, Any]
-    compute_weights: tuple[float, ...]
+    compute_weights: tuple[float, ...]  # λ of the learned selectors
 
     def entrants(self, techniques: Sequence[str]) -> list[Entrant]:
         """All entrants for a bank with these techniques.

@@ -1,9 +1,8 @@
 """Which cells a study has."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,54 +20,38 @@ from amusic_gym.routes.motion import RECORDED
 from amusic_gym.utils.checks import whole
 from amusic_gym.utils.names import distinct, suggest
 
-MOST_WEIGHTS = 8
-"""λ of a learned selector's front: more would be a search for the best one."""
+MOST_WEIGHTS = 8  # λ of a learned selector's front: more would be a search for the best one
 
 SEED_COUNT = 5
 
-MEAN = "mean"
-"""In the place of a route's name: over all routes."""
+MEAN = "mean"  # in the place of a route's name: over all routes
 
 
 @dataclass(frozen=True)
 class Entrant:
-    """A policy of a study, or several runs of one training, which are its seeds.
+    """A policy of a study, or several runs of one training, which are its seeds."""
 
-    Attributes:
-        name: in tables.
-        family: of `FAMILIES`.
-        contestants: one, or one for each seed. What makes them must pickle.
-        statistic: SIC's, if it is not the study's.
-        draws: whether the policy draws: then it has a cell per seed even as recorded.
-        needs_truth: of what it needs ground truth, if it does; tables say so.
-    """
-
-    name: str
-    family: str
-    contestants: tuple[Contestant, ...]
-    statistic: str | None = None
-    draws: bool = False
-    needs_truth: str = ""
+    name: str  # in tables
+    family: str  # of `FAMILIES`
+    contestants: tuple[Contestant, ...]  # one, or one for each seed. What makes them must pickle
+    statistic: str | None = None  # SIC's, if it is not the study's
+    draws: bool = False  # whether the policy draws: then it has a cell per seed even as recorded
+    needs_truth: str = ""  # of what it needs ground truth, if it does; tables say so
 
 
 @dataclass(frozen=True)
 class Plan:
-    """All that a study has to do.
+    """All that a study has to do."""
 
-    Attributes:
-        bench: the recordings, for workers.
-        cells: in the order of tables: routes, conditions, seeds, policies.
-        routes: of each recording ``bank`` (its name), ``queries``, ``references``, ``techniques``,
-            ``seconds`` and ``cheapest``, the least compute of a policy that always runs one.
-        settings: ``conditions``; ``seeds`` of motions, of policies that draw, and numbers of
-            trainings; ``statistic``, ``carry`` and ``discount`` of policies that do not bring their
-            own; ``costs``, the cost model; ``needs_truth``: name of an entrant → of what it needs
-            ground truth.
-    """
-
-    bench: Bench
-    cells: tuple[Cell, ...]
+    bench: Bench  # the recordings, for workers
+    cells: tuple[Cell, ...]  # in the order of tables: routes, conditions, seeds, policies
+    # of each recording ``bank`` (its name), ``queries``, ``references``, ``techniques``,
+    # ``seconds`` and ``cheapest``, the least compute of a policy that always runs one
     routes: tuple[dict[str, Any], ...]
+    # ``conditions``; ``seeds`` of motions, of policies that draw, and numbers of trainings;
+    # ``statistic``, ``carry`` and ``discount`` of policies that do not bring their own;
+    # ``costs``, the cost model; ``needs_truth``: name of an entrant → of what it needs
+    # ground truth
     settings: dict[str, Any]
 
 
@@ -104,24 +87,32 @@ def make_plan(
     """
     check_banks(banks)
     numbers = _check(seeds, conditions)
+    conditions = tuple(dict.fromkeys(conditions))
     names = distinct([bank.name or "bank" for bank in banks], taken=(MEAN,))
     chosen = {"statistic": statistic, "carry": carry, "discount": discount}
-    planner = _Planner(chosen, numbers, tuple(dict.fromkeys(conditions)))
     needs_truth: dict[str, str] = {}
     planned: list[Cell] = []
     for number, (bank, name) in enumerate(zip(banks, names, strict=True)):
         given = list(dict.fromkeys(entrants(bank)))
         _check_names([entrant.name for entrant in given])
         needs_truth |= {each.name: each.needs_truth for each in given if each.needs_truth}
-        planned += planner.cells(number, bank, name, given)
+        route = _Route(number, name, bank, numbers)
+        jobs = [job for entrant in given for job in _jobs(route, entrant, chosen)]
+        planned += [
+            job.cell(condition, at)
+            for condition in conditions
+            for at in range(len(numbers))
+            for job in jobs
+            if at == 0 or job.varies(condition)
+        ]
     if not planned:
         raise ValueError("no policy to study; give at least one")
     return Plan(
         bench=Bench(banks),
         cells=tuple(planned),
-        routes=tuple(_route(*each) for each in zip(banks, names, strict=True)),
+        routes=tuple(_described(*each) for each in zip(banks, names, strict=True)),
         settings={
-            "conditions": list(planner.conditions),
+            "conditions": list(conditions),
             "seeds": list(numbers),
             **chosen,
             "costs": banks[0].costs,
@@ -142,7 +133,7 @@ def _check(seeds: Sequence[int], conditions: Collection[str]) -> tuple[int, ...]
     return numbers
 
 
-def _route(bank: ScoreBank, name: str) -> dict[str, Any]:
+def _described(bank: ScoreBank, name: str) -> dict[str, Any]:
     return {
         "bank": name,
         "queries": bank.queries,
@@ -154,67 +145,49 @@ def _route(bank: ScoreBank, name: str) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class _Planner:
-    """What all banks of a study share."""
+class _Route:
+    """A bank of a study."""
 
-    chosen: dict[str, Any]  # statistic, carry and discount, of policies that do not bring theirs
+    number: int
+    name: str
+    bank: ScoreBank
     seeds: tuple[int, ...]
-    conditions: tuple[str, ...]
 
-    def cells(
-        self, number: int, bank: ScoreBank, name: str, entrants: Sequence[Entrant]
-    ) -> list[Cell]:
-        """The cells of one bank, those of one condition and seed together."""
-        shared = {
-            "bank": store.bank_identity(bank),
-            "costs": bank.costs,
+    @cached_property
+    def key(self) -> dict[str, Any]:
+        """What may change the numbers of all cells on it."""
+        return {
+            "bank": store.bank_identity(self.bank),
+            "costs": self.bank.costs,
             "code": store.code_digest(Path(measuring.__file__)),
             "version": __version__,
         }
-        jobs = [job for entrant in entrants for job in self._jobs(bank, entrant)]
-        return [
-            self._cell(shared, job, condition, at, bank=number, name=name, size=bank.queries)
-            for condition in self.conditions
-            for at in range(len(self.seeds))
-            for job in jobs
-            if at == 0 or job.varies(condition)
-        ]
 
-    def _jobs(self, bank: ScoreBank, entrant: Entrant) -> list[_Job]:
-        """One per λ; builds every policy once to see that it can be built."""
-        _check_entrant(entrant, len(self.seeds))
-        chosen = self.chosen | ({"statistic": entrant.statistic} if entrant.statistic else {})
-        context = Context.of(bank, seed=self.seeds[0], **chosen)
-        for contestant in entrant.contestants:
-            policy = contestant.make(context)
-            own = Correction.under(policy, **chosen)
-            if entrant.statistic not in (None, own.statistic):
-                raise ValueError(
-                    f"{entrant.name}: the policy has a statistic of its own, {own.statistic!r}, and"
-                    f" takes no other; leave out @{entrant.statistic}"
-                )
-        weights = dict.fromkeys(entrant.contestants[0].compute_weights)
-        return [_Job(entrant, chosen, own, weight) for weight in weights]
 
-    def _cell(
-        self,
-        shared: Mapping[str, Any],
-        job: _Job,
-        condition: str,
-        at: int,
-        *,
-        bank: int,
-        name: str,
-        size: int,
-    ) -> Cell:
-        entrant, seed = job.entrant, self.seeds[at]
+@dataclass(frozen=True)
+class _Job:
+    """An entrant with one λ on a route."""
+
+    route: _Route
+    entrant: Entrant
+    chosen: Mapping[str, Any]  # statistic, carry, discount, of a policy that does not bring its own
+    own: Correction  # what it has in the end
+    weight: float | None
+
+    def varies(self, condition: str) -> bool:
+        """Whether the seed makes a difference."""
+        return condition != RECORDED or self.entrant.draws or len(self.entrant.contestants) > 1
+
+    def cell(self, condition: str, at: int) -> Cell:
+        """Its cell under a condition with the seed of that number."""
+        route, entrant, seed = self.route, self.entrant, self.route.seeds[at]
         contestant = entrant.contestants[at % len(entrant.contestants)]
         retiming = None if condition == RECORDED else seed
         key = {
-            **shared,
-            **job.own._asdict(),
+            **route.key,
+            **self.own._asdict(),
             "condition": condition,
-            "compute_weight": job.weight,
+            "compute_weight": self.weight,
             "retiming": retiming,
             "policy": contestant.name,
             "policy_version": contestant.version,
@@ -222,8 +195,8 @@ class _Planner:
         }
         labels = {
             **key,
-            "bank": name,
-            "seed": seed if job.varies(condition) else None,
+            "bank": route.name,
+            "seed": seed if self.varies(condition) else None,
             "policy": entrant.name,
             "family": entrant.family,
             "member": contestant.name,
@@ -231,29 +204,29 @@ class _Planner:
         return Cell(
             path=store.stem_of(key),
             labels={label: labels[label] for label in LABELS},
-            bank=bank,
+            bank=route.number,
             make=contestant.make,
-            chosen=job.chosen,
+            chosen=self.chosen,
             retiming=retiming,
-            seed=seed if entrant.draws else self.seeds[0],
-            size=size,
+            seed=seed if entrant.draws else route.seeds[0],
+            size=route.bank.queries,
         )
 
 
-@dataclass(frozen=True)
-class _Job:
-    """An entrant with one λ."""
-
-    entrant: Entrant
-    chosen: Mapping[
-        str, Any
-    ]  # statistic, carry, discount, for a policy that does not bring its own
-    own: Correction  # what it has in the end
-    weight: float | None
-
-    def varies(self, condition: str) -> bool:
-        """Whether the seed makes a difference."""
-        return condition != RECORDED or self.entrant.draws or len(self.entrant.contestants) > 1
+def _jobs(route: _Route, entrant: Entrant, chosen: Mapping[str, Any]) -> list[_Job]:
+    """One per λ; builds every policy once to see that it can be built."""
+    _check_entrant(entrant, len(route.seeds))
+    chosen = {**chosen, **({"statistic": entrant.statistic} if entrant.statistic else {})}
+    context = Context.of(route.bank, seed=route.seeds[0], **chosen)
+    for contestant in entrant.contestants:
+        own = Correction.under(contestant.make(context), **chosen)
+        if entrant.statistic not in (None, own.statistic):
+            raise ValueError(
+                f"{entrant.name}: the policy has a statistic of its own, {own.statistic!r}, and"
+                f" takes no other; leave out @{entrant.statistic}"
+            )
+    weights = dict.fromkeys(entrant.contestants[0].compute_weights)
+    return [_Job(route, entrant, chosen, own, weight) for weight in weights]
 
 
 def _check_names(names: Sequence[str]) -> None:

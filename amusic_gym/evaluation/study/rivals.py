@@ -1,7 +1,5 @@
 """Selectors against rules of every kind, each with a grid of settings: the demo and the results."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -15,8 +13,7 @@ from amusic_gym.evaluation.study.run import Report, run
 from amusic_gym.evaluation.study.tables import write_markdown
 from amusic_gym.routes.motion import RECORDED
 
-DRAWS = 5
-"""Of every policy that draws."""
+DRAWS = 5  # of every policy that draws
 
 
 def rivals(techniques: Sequence[str]) -> list[str]:
@@ -79,16 +76,9 @@ def study_rivals(
 ) -> Findings:
     """Selectors against all fixed subsets and rules; ``out`` keeps what is finished.
 
-    Args:
-        banks: with the same techniques and cost model.
-        selectors: name → policies, one for all draws or one for each.
-        out: the folder.
-        executor: as `run` takes it.
-        policies: the rules; by default `rivals`.
-        statistic: of what does not bring its own.
-        conditions: motions along the banks.
-        draws: of policies that draw and of motions; by default `DRAWS`.
-        report: is given one line per finished cell.
+    The banks have the same techniques and cost model; selectors are given by name, with policies
+    for all draws or one for each. The rules are `rivals` unless ``policies`` are given, the draws
+    of policies and of motions `DRAWS`. All else is as `make_plan` and `run` take it.
     """
     lineup = Lineup(
         policies=tuple(rivals(banks[0].techniques) if policies is None else policies),

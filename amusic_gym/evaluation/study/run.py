@@ -1,7 +1,5 @@
 """Runs the cells of a plan that are not finished yet."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +7,7 @@ from typing import Any
 
 from amusic_gym.banks.bank_files import refuse_within_bank
 from amusic_gym.evaluation import store
-from amusic_gym.evaluation.study.cells import MEASURED, Cell, Measures
+from amusic_gym.evaluation.study.cells import MEASURED, Measures
 from amusic_gym.evaluation.study.plan import Plan
 from amusic_gym.extraction.executors import make_executor
 
@@ -17,8 +15,7 @@ CELLS = "cells"
 
 Row = dict[str, Any]
 
-Finished = list[Row]
-"""For each cell of a plan, in its order: its labels and its numbers."""
+Finished = list[Row]  # for each cell of a plan, in its order: its labels and its numbers
 
 Report = Callable[[str], None]
 
@@ -28,14 +25,9 @@ def run(
 ) -> Finished:
     """Compute the cells that ``out`` does not hold yet, and keep each as soon as it is finished.
 
-    The same numbers come out whatever the executor. Killed at any time, it loses the cells that
-    are running and no other.
-
-    Args:
-        plan: of :func:`~amusic_gym.evaluation.study.plan.make_plan`.
-        out: the folder; made if it is not there.
-        executor: ``serial``, ``process:N``, ``ray`` or ``ray:ADDRESS``.
-        report: is given one line per finished cell.
+    The same numbers come out whatever the executor: ``serial``, ``process:N``, ``ray`` or
+    ``ray:ADDRESS``. Killed at any time, it loses the cells that are running and no other.
+    ``report`` is given one line per finished cell.
 
     Raises:
         ValueError: for an unknown executor, or an ``out`` in the folder of a bank.
@@ -47,14 +39,19 @@ def run(
     folder.mkdir(parents=True, exist_ok=True)  # fails before hours of work, not after them
     done = _load(plan, folder, report)
     missing = list({cell.path: cell for cell in plan.cells if cell.path not in done}.values())
-    progress = _Progress(len(missing), sum(cell.size for cell in missing), report)
     if done:
-        report(f"{len(plan.cells) - progress.cells} of {len(plan.cells)} cells were finished")
+        report(f"{len(plan.cells) - len(missing)} of {len(plan.cells)} cells were finished")
+    begun, frames, seen = time.monotonic(), sum(cell.size for cell in missing), 0
     with where, where.workers(plan.bench) as workers:
-        for cell, measures in workers.run(missing):
+        for number, (cell, measures) in enumerate(workers.run(missing), 1):
             store.save(folder, cell.path, {"measures": measures})
             done[cell.path] = measures
-            progress.tell(cell, measures)
+            seen += cell.size
+            left = (time.monotonic() - begun) * (frames - seen) / seen  # at the rate so far
+            report(
+                f"[{number}/{len(missing)}] {cell}: auc {measures['auc']:.4f}, compute"
+                f" {measures['compute']:.4f} (about {_duration(left)} left)"
+            )
     return [{**cell.labels, **done[cell.path]} for cell in plan.cells]
 
 
@@ -85,11 +82,7 @@ def _load(plan: Plan, folder: Path, report: Report) -> dict[str, Measures]:
 
 
 def load_measures(folder: Path, stem: str) -> Measures | None:
-    """The numbers of a finished cell; None where there are none.
-
-    Raises:
-        ValueError: when the file is damaged.
-    """
+    """The numbers of a finished cell; None where there are none; a ValueError if damaged."""
     if (body := store.load(folder, stem)) is None:
         return None
     measures: Measures = body["measures"] if isinstance(body.get("measures"), dict) else {}
@@ -97,27 +90,6 @@ def load_measures(folder: Path, stem: str) -> Measures | None:
     if set(measures) != set(MEASURED) or not plain:
         raise store.damaged(folder, stem, "it holds other numbers than a cell's")
     return measures
-
-
-class _Progress:
-    """One line per cell, with the time that is left at the rate so far."""
-
-    def __init__(self, cells: int, frames: int, report: Report) -> None:
-        self.cells = cells
-        self._frames = frames
-        self._report = report
-        self._done = self._seen = 0
-        self._begun = time.monotonic()
-
-    def tell(self, cell: Cell, measures: Measures) -> None:
-        self._done += 1
-        self._seen += cell.size
-        spent = time.monotonic() - self._begun
-        left = spent * (self._frames - self._seen) / self._seen
-        self._report(
-            f"[{self._done}/{self.cells}] {cell}: auc {measures['auc']:.4f}, compute"
-            f" {measures['compute']:.4f} (about {_duration(left)} left)"
-        )
 
 
 def _duration(seconds: float) -> str:

@@ -1,7 +1,5 @@
 """What a study's tables say in short: a leaderboard, and sentences on who is ahead where."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 
 from amusic_gym.evaluation.study.cells import CONDITIONS
@@ -15,13 +13,7 @@ from amusic_gym.policies.registry import BOUND, FRONTS, MAY_IDLE, PEER
 
 
 def leaderboard(findings: Findings, condition: str, title: str) -> Table:
-    """The mean of every front, the best first: by hypervolume, then by AUC at any compute.
-
-    Args:
-        findings: of a study of several routes.
-        condition: of the study.
-        title: of the table.
-    """
+    """The mean of every front, the best first: by hypervolume, then by AUC at any compute."""
     shown = sorted(_fronts(findings, condition, MEAN), key=_rank)
     rows = [
         [marked(row["front"], findings.settings["needs_truth"]), *front_cells(row)] for row in shown
@@ -50,8 +42,8 @@ def where_ahead(findings: Findings, condition: str) -> list[str]:
         others = max((row["auc_at"][-1] for row in here if row["family"] != PEER), default=0.0)
         for row in here:
             if row["family"] == PEER and row["auc_at"][-1] > others:
-                said = f"{three(row['auc_at'][-1])}, the best other {three(others)}"
-                peers.setdefault(row["front"], []).append(f"{route['bank']} ({said})")
+                aucs = f"{three(row['auc_at'][-1])}, the best other {three(others)}"
+                peers.setdefault(row["front"], []).append(f"{route['bank']} ({aucs})")
     wins = "; ".join(f"{_bold(name)} on {_listed(places)}" for name, places in peers.items())
     return [
         f"Highest mean AUC at no more compute, {CONDITIONS[condition]}: {'; '.join(led)}.",

@@ -1,7 +1,5 @@
 """The findings of a study as tables: text for a terminal, markdown for the documentation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -50,9 +48,6 @@ def write_markdown(findings: Findings, folder: str | Path) -> Path:
     if findings.warnings:
         blocks.append("\n".join(f"- **{for_markdown(line)}**" for line in findings.warnings))
     return write_whole(Path(folder) / TABLES, ("\n\n".join(blocks) + "\n").encode())
-
-
-# ---- tables ----------------------------------------------------------------------------------
 
 
 def _points(findings: Findings, scope: str) -> Table:
@@ -122,14 +117,7 @@ def _fronts(findings: Findings, condition: str) -> Table:
         for row in findings.fronts
         if row["condition"] == condition and row["begins"] < 1.0 - ROUNDING
     ]
-    rows = [
-        [
-            row["bank"],
-            _marked(findings, row["front"]),
-            *front_cells(row),
-        ]
-        for row in shown
-    ]
+    rows = [[row["bank"], _marked(findings, row["front"]), *front_cells(row)] for row in shown]
     note = (
         "A front is the best AUC at no more than that compute. Hypervolume: its area above AUC 0.5 "
         "over log compute, from the cheapest technique's compute to 1, as a share of the greatest "
@@ -185,8 +173,13 @@ def _rival(match: Row | None) -> str:
     if match is None or match["rival"] is None:
         return "–"
     sign = {None: " =", True: "", False: " >"}[ahead(match)]
+    return f"{match['rival_auc']:.3f}{sign} ({rival_label(match)})"
+
+
+def rival_label(match: Row) -> str:
+    """The rival of a row of `Findings.matches` and its λ, if it has one."""
     weight = "" if match["rival_weight"] is None else f", λ {match['rival_weight']:g}"
-    return f"{match['rival_auc']:.3f}{sign} ({policy_label(match['rival'])}{weight})"
+    return policy_label(match["rival"]) + weight
 
 
 def _margins(findings: Findings) -> Table:
@@ -247,9 +240,6 @@ def audit_table(findings: Findings, shown: Sequence[Row]) -> Table:
     )
     note = noted(findings, note, [row["front"] for row in shown])
     return Table("Audit: estimated correctness p̂ against the truth", heads, rows, note, words=3)
-
-
-# ---- words -----------------------------------------------------------------------------------
 
 
 def _marked(findings: Findings, policy: str) -> str:
