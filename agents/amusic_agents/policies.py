@@ -26,6 +26,16 @@ def run_of_statistic(argument: str | None) -> Path:
     return shipped(statistic, allow_idle=rest == IDLE)
 
 
+def ppo(argument: str | None, context: Context) -> Policy:
+    """The selector of `run_of`, by a name that other processes find."""
+    return _load(run_of(argument), context)
+
+
+def ppo_of_statistic(argument: str | None, context: Context) -> Policy:
+    """The selector of `run_of_statistic`."""
+    return _load(run_of_statistic(argument), context)
+
+
 def _load(run: Path, context: Context) -> Policy:
     from amusic_agents.selector import load_selector
 
@@ -60,7 +70,7 @@ def _facts(run: Path) -> Facts:
 POLICIES = {
     "ppo": RegisteredPolicy(
         "ppo",
-        lambda argument, context: _load(run_of(argument), context),
+        ppo,
         LEARNED,
         "selector (ppo)",
         label_of=lambda argument: f"selector (ppo:{Path(argument).name})",
@@ -69,7 +79,7 @@ POLICIES = {
     ),
     "ppo@": RegisteredPolicy(
         "ppo@",
-        lambda argument, context: _load(run_of_statistic(argument), context),
+        ppo_of_statistic,
         LEARNED,
         label_of="selector (ppo@{})".format,
         reads_weight=lambda argument: True,

@@ -3,7 +3,7 @@
     pip install -r examples/rllib_ppo/requirements.txt
     python examples/rllib_ppo/rllib_ppo.py
 
-Reaches 0.716 per frame at λ 0.3 (seed 1) in 27 s of one core. Compare with docs/training.md.
+Reaches 0.689 per frame at λ 0.3 (seed 1) in 27 s of one core. Compare with docs/training.md.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     pip install -r examples/tianshou_dqn/requirements.txt
     python examples/tianshou_dqn/tianshou_dqn.py
 
-Reaches 0.712 per frame at λ 0.3 (seed 1) in 28 s of one core. Compare with docs/training.md.
+Reaches 0.700 per frame at λ 0.3 (seed 1) in 28 s of one core. Compare with docs/training.md.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
     pip install -r examples/torchrl_ppo/requirements.txt
     python examples/torchrl_ppo/torchrl_ppo.py
 
-Reaches 0.752 per frame at λ 0.3 (seed 1) in 24 s of one core. Compare with docs/training.md.
+Reaches 0.733 per frame at λ 0.3 (seed 1) in 24 s of one core. Compare with docs/training.md.
 """
 
 from __future__ import annotations
