@@ -69,6 +69,9 @@ def test_best_within_takes_the_cheaper_of_equals_and_else_the_cheapest():
     assert story.best_within(own, 0.45)["compute"] == 0.35  # .8801 and .8804 are both .880
     assert story.best_within(own, 1.0)["compute"] == 0.70
     assert story.best_within(own, 0.01)["compute"] == 0.1
+    near = [{"auc": 0.974, "compute": 0.57}, {"auc": 0.9695, "compute": 0.37}]
+    assert story.best_within(near, 1.0) == near[1]
+    assert story.best_within([{**near[1], "auc": 0.968}, near[0]], 1.0) == near[0]
 
 
 def test_story_says_who_is_ahead_level_and_behind():

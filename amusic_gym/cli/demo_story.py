@@ -13,16 +13,16 @@ from amusic_gym.evaluation.tables import Table
 from amusic_gym.policies.registry import FRONTS, MAY_IDLE
 from amusic_gym.policies.trace import Trace
 
+TIE = 0.005  # AUC by which a dearer λ must be better to be spoken of
+
 
 def best_within(rows: Sequence[Row], compute: float) -> Row:
-    """The row of highest AUC at no more compute, of equal ones the cheapest; or just the cheapest.
-
-    AUCs are equal that three digits do not tell apart.
-    """
+    """The cheapest row within `TIE` of the highest AUC at no more compute; or just the cheapest."""
     fitting = [row for row in rows if row["compute"] <= compute]
     if not fitting:
         return min(rows, key=lambda row: row["compute"])
-    return max(fitting, key=lambda row: (round(row["auc"], 3), -row["compute"]))
+    least = max(row["auc"] for row in fitting) - TIE
+    return min((row for row in fitting if row["auc"] >= least), key=lambda row: row["compute"])
 
 
 NOT_HOPELESS = 0.2  # accuracy of a drive that fails and is worth a look
