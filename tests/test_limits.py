@@ -105,7 +105,8 @@ def test_no_frame_exceeds_the_cap(spec):
     seen = drive(played(bank), Limits(cap_ms=cap), spec, weight=0.01)
     assert max(each.ran @ cost for each in free) > cap
     assert max(each.ran @ cost for each in seen) <= cap
-    assert sum(each.ran.any() for each in seen) >= 40  # not only what ran nothing anyway
+    least = 50 if spec.endswith("idle") else len(seen)  # not only what ran nothing anyway
+    assert sum(each.ran.any() for each in seen) >= least
 
 
 def test_the_dearest_are_dropped_until_the_rest_fits_and_measured_costs_count(monkeypatch):

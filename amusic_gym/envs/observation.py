@@ -180,13 +180,12 @@ def limit_compute_weight(
         return observation
     limited = observation.copy()
     limited[outside, -width + place] = weight_entry(nearest[outside])
-    groups = limited[:, :-width].reshape(len(limited), -1, WIDTH)  # a copy
-    present = (groups[:, :, TECHNIQUE_FEATURES.index("present")] > 0) & outside[:, None]
-    share = groups[:, :, TECHNIQUE_FEATURES.index("cost_share")]
-    prices = price_entry(nearest[:, None], share.astype(np.float64))
-    price = TECHNIQUE_FEATURES.index("price")
-    groups[:, :, price] = np.where(present, prices, groups[:, :, price])
-    limited[:, :-width] = groups.reshape(len(limited), -1)
+    present, share, price = (
+        limited[:, TECHNIQUE_FEATURES.index(name) : -width : WIDTH]  # views, (N, S)
+        for name in ("present", "cost_share", "price")
+    )
+    changed = (present > 0) & outside[:, None]
+    price[changed] = price_entry(nearest[:, None], share.astype(np.float64))[changed]
     return limited
 
 
