@@ -1,6 +1,7 @@
 """Drives under random activity, and how well p̂ and the techniques' statistics did on them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -86,19 +87,22 @@ def held_against_truth(banks: Sequence[Sequence[Drive]]) -> dict[str, Any]:
     fused: list[Row] = []
     techniques: list[Row] = []
     for drives in banks:
-        for timing, group in _by_timing(drives).items():
+        for timing, group in by_timing(drives).items():
             which = {"bank": group[0].bank, "timing": timing}
             fused.append({**which, **_fused(group)})
             techniques += [{**which, **row} for row in _own(group)]
-    pooled = _by_timing([drive for drives in banks for drive in drives])
+    pooled = by_timing(chain.from_iterable(banks))
     fused += [{"bank": POOLED, "timing": timing, **_fused(g)} for timing, g in pooled.items()]
     curves = {timing: _curve(group) for timing, group in pooled.items()}
     return {"fused": fused, "techniques": techniques, "reliability": curves}
 
 
-def _by_timing(drives: Sequence[Drive]) -> dict[str, list[Drive]]:
-    timings = dict.fromkeys(drive.timing for drive in drives)
-    return {timing: [drive for drive in drives if drive.timing == timing] for timing in timings}
+def by_timing(drives: Iterable[Drive]) -> dict[str, list[Drive]]:
+    """The drives as recorded, and those re-timed."""
+    groups: dict[str, list[Drive]] = {}
+    for drive in drives:
+        groups.setdefault(drive.timing, []).append(drive)
+    return groups
 
 
 def _fused(drives: Sequence[Drive]) -> Row:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import json
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,6 @@ from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.estimation.settings import STATISTICS
 from amusic_gym.evaluation.audit import Ranking, audit, held, ranking
 from amusic_gym.evaluation.correctness import MEASURES, assess, table
-from amusic_gym.evaluation.plots.drawing import figure_at
 from amusic_gym.evaluation.rollout import rollout
 from amusic_gym.policies.protocol import Context
 from amusic_gym.policies.trace import Trace
@@ -259,29 +257,6 @@ def test_own_places_and_statistics_are_those_of_the_environment(script, statisti
                 right, wrong = right + drive.right[q, t], wrong + (not drive.right[q, t])
         assert right > 0
         assert wrong > 0
-
-
-def test_the_figure_shows_every_bin_that_has_frames(script, monkeypatch, tmp_path):
-    module, shown = script("correctness"), []
-
-    @contextmanager
-    def keeping(*given):
-        with figure_at(*given) as figure:
-            yield figure
-            shown.append(figure)
-
-    monkeypatch.setattr(module, "figure_at", keeping)
-    curves = {
-        "as recorded": {"predicted": [None, 0.6], "observed": [None, 0.5], "counts": [0, 40]},
-        "re-timed": {"predicted": [0.1, 0.9], "observed": [0.2, 0.7], "counts": [10, 300]},
-    }
-    path = module.draw_reliability(curves, "title", tmp_path / "figure.png")
-    assert path.read_bytes().startswith(b"\x89PNG")
-    upper, lower = shown[0].axes
-    lines = [[line.get_xdata().tolist(), line.get_ydata().tolist()] for line in upper.lines]
-    assert lines[1:5] == [[[0.6], [0.5]], [[], []], [[0.1, 0.9], [0.2, 0.7]], [[0.1], [0.2]]]
-    assert [bar.get_height() for bar in lower.patches] == [0, 40, 10, 300]
-    assert [text.get_text() for text in lower.texts] == ["", "40", "10", "300"]
 
 
 def test_the_script_writes_tables_numbers_and_figures(script, monkeypatch, tmp_path, capsys):
