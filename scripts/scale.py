@@ -5,21 +5,20 @@ is finished in DIR is not measured again unless code changes. By default it take
 minutes of one processor and 5 GiB of memory.
 """
 
-from _timing import one_thread
+import _one_thread  # noqa: F401  (first: NumPy reads it)
 
-one_thread()
+# isort: split
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import chain
+from pathlib import Path
+from typing import Any, NamedTuple
 
-import argparse  # noqa: E402
-import sys  # noqa: E402
-from collections.abc import Callable, Iterator  # noqa: E402
-from functools import partial  # noqa: E402
-from itertools import chain  # noqa: E402
-from pathlib import Path  # noqa: E402
-from typing import Any, NamedTuple  # noqa: E402
-
-from _cli import Parser, destination, run  # noqa: E402
-from _scale_growth import DESCRIPTORS, GIB, Row, descriptor_bytes, drive, match  # noqa: E402
-from _scale_shortlist import (  # noqa: E402
+from _cli import Parser, destination, run
+from _scale_growth import DESCRIPTORS, GIB, Row, descriptor_bytes, drive, match
+from _scale_shortlist import (
     BEST,
     COMPETENCES,
     FILLS,
@@ -28,13 +27,13 @@ from _scale_shortlist import (  # noqa: E402
     rendered,
     search,
 )
-from amusic_agents.evaluation import held_out_routes  # noqa: E402
-from tqdm import tqdm  # noqa: E402
+from amusic_agents.evaluation import held_out_routes
+from tqdm import tqdm
 
-from amusic_gym.envs.sources import ordinary  # noqa: E402
-from amusic_gym.evaluation import store  # noqa: E402
-from amusic_gym.evaluation.tables import Table  # noqa: E402
-from amusic_gym.utils.storage import write_whole  # noqa: E402
+from amusic_gym.envs.sources import ordinary
+from amusic_gym.evaluation import store
+from amusic_gym.evaluation.tables import Table
+from amusic_gym.utils.storage import write_whole
 
 STATISTICS = ("evidence", "belief")
 
