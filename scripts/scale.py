@@ -18,15 +18,7 @@ from typing import Any, NamedTuple
 
 from _cli import Parser, destination, run
 from _scale_growth import DESCRIPTORS, GIB, Row, descriptor_bytes, drive, match
-from _scale_shortlist import (
-    BEST,
-    COMPETENCES,
-    FILLS,
-    driven,
-    load_faiss,
-    rendered,
-    search,
-)
+from _scale_shortlist import FILLS, driven, rendered
 from amusic_agents.evaluation import held_out_routes
 from tqdm import tqdm
 
@@ -49,27 +41,24 @@ class Sizes(NamedTuple):
     drive: int = 24  # frames, where they do not grow
     rounds: int = 5
     memory: float = 2.1 * GIB  # of the largest map that is matched
-    lists: int = 1_000  # of the index
-    probes: tuple[int, ...] = (1, 4, 16, 64)
-    queries: int = 200
     shares: tuple[float, ...] = (0.2, 0.05, 0.02, 0.01)
     simulated: int = 12  # routes
     rendered: int = 100  # places of each world
 
 
 QUICK = Sizes(
-    *((100, 200), (1, 2), (1, 2), (20, 40), 100, 8, 2, 1e6, 8, (1, 8), 10, (0.2,), 1, 12),
+    *((100, 200), (1, 2), (1, 2), (20, 40), 100, 8, 2, 1e6, (0.2,), 1, 12),
 )
 
 
 class Measured:
-    """Rows in the folder ``out``, each measured once; ``total`` of them, for the bar."""
+    """Rows in the folder ``out``, each measured once."""
 
-    def __init__(self, out: Path, total: int) -> None:
+    def __init__(self, out: Path) -> None:
         self._folder = out / "cells"
-        parts = sorted(Path(__file__).parent.glob("_scale_*.py"))
+        parts = sorted(Path(__file__).parent.glob("_*.py"))
         self._code = [store.code_digest(part) for part in parts]
-        self._bar = tqdm(total=total, unit="row", disable=not sys.stderr.isatty())
+        self._bar = tqdm(unit="row", disable=not sys.stderr.isatty())
 
     def row(self, name: str, measure: Callable[[], Any]) -> Any:
         """What ``measure`` gives, or gave when it was last called by this name."""
@@ -145,26 +134,6 @@ def matching(sizes: Sizes, measured: Measured) -> Iterator[Table]:
     yield Table("Matching one query", heads, rows, note)
 
 
-def index(sizes: Sizes, measured: Measured) -> Iterator[Table]:
-    """Exact search against an index's."""
-    places = sizes.places[-1]
-    given = places, sizes.lists, sizes.probes, sizes.queries, sizes.rounds
-    found = measured.row(f"index {given} {load_faiss() is None}", partial(search, *given))
-    rows = [
-        [
-            row["by"] if row["lists"] is None else f"{row['lists']} of {sizes.lists:,} lists",
-            *(figure(row["ms"]), figure(row["mib"])),
-            *(f"{row[f'found {each}']:.3f}" for each in COMPETENCES),
-        ]
-        for row in found
-    ]
-    heads = [
-        *("searched", "ms", "MiB more"),
-        *(f"true place in the best {BEST}, competence {each}" for each in COMPETENCES),
-    ]
-    yield Table(f"An index by {found[-1]['by']} over {places:,} places", heads, rows)
-
-
 def cost(sizes: Sizes, measured: Measured, out: Path) -> Iterator[Table]:
     """Accuracy and AUC after SIC and the belief where only a shortlist's scores exist."""
     tour = rendered(out, sizes.rendered)
@@ -195,19 +164,11 @@ def main() -> None:
     add("--quick", action="store_true", help="tiny sizes, to see that it runs")
     args = parser.parse_args()
     sizes = QUICK if args.quick else Sizes()
-    shortlists = 1 + len(sizes.shares) * len(FILLS)
-    grown = [*sizes.places, *sizes.techniques, *sizes.routes, *sizes.frames]
-    maps = sum(
-        place == sizes.places[0] or descriptor_bytes(name, place) <= sizes.memory
-        for name in DESCRIPTORS
-        for place in sizes.places
-    )
-    measured = Measured(args.out, 2 * len(grown) + maps + 1 + 4 * shortlists)
+    measured = Measured(args.out)
     told = []
     for table in chain(
         growth(sizes, measured),
         matching(sizes, measured),
-        index(sizes, measured),
         cost(sizes, measured, args.out),
     ):
         told.append(table.markdown())
