@@ -87,22 +87,17 @@ class Corrections:
         self.frames = range(sizes.frames - sizes.steps, sizes.frames)  # timed
         for query in range(bank.queries):
             prepare(self.runs[0], query)
-        for frame in range(self.frames.start):
-            self.at(frame)
+        self.forward(range(self.frames.start))
         self._kept = (self.sums.copy(), self.marks.copy())
-
-    def at(self, frame: int) -> None:
-        """One correction on every route."""
-        correct_routes(self._address, frame, self.places, self.statistics)
 
     def rewind(self) -> None:
         """Go back to before the timed frames."""
         self.sums[:], self.marks[:] = self._kept
 
-    def forward(self) -> None:
-        """One correction on every route and timed frame."""
-        for frame in self.frames:
-            self.at(frame)
+    def forward(self, frames: range | None = None) -> None:
+        """One correction on every route and frame; None: those that are timed."""
+        for frame in frames or self.frames:
+            correct_routes(self._address, frame, self.places, self.statistics)
 
     def add_rows(self) -> None:
         """Only the accumulator's part of it."""

@@ -34,11 +34,9 @@ from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.utils.storage import write_whole
 
-CARRY: dict[str, Any] = {"carry": True}
-DISCOUNT: dict[str, Any] = {"carry": True, "discount": True}
-BELIEF: dict[str, Any] = {"statistic": "belief", "carry": None, "discount": None}
-THREADS: dict[str, Any] = {**BELIEF, "threads": 2}
-ONE: dict[str, Any] = {"single": True}
+Settings = dict[str, Any]
+CARRY: Settings = {"carry": True}
+BELIEF: Settings = {"statistic": "belief", "carry": None, "discount": None}
 
 Measured = tuple[float, str]  # a ratio, and a sentence on both sides
 Measure = Callable[[Material], Measured]
@@ -195,7 +193,7 @@ def measure_single_env(material: Material) -> Measured:
     return compare(env_side(material, "single env", single=True), theirs, sizes.rounds)
 
 
-def pair(ours: str, settings: dict[str, Any], theirs: str, others: dict[str, Any]) -> Measure:
+def pair(ours: str, settings: Settings, theirs: str, others: Settings, both: Settings) -> Measure:
     """Measures the time of a step of one environment with two settings.
 
     The correlation of a row with the one before it is kept with the bank, as mean, deviation and
@@ -203,8 +201,8 @@ def pair(ours: str, settings: dict[str, Any], theirs: str, others: dict[str, Any
     """
 
     def measure(material: Material) -> Measured:
-        first = env_side(material, ours, behind=1, **settings)
-        second = env_side(material, theirs, **others)
+        first = env_side(material, ours, behind=1, **settings, **both)
+        second = env_side(material, theirs, **others, **both)
         return compare(first, second, material.sizes.rounds, time_of_ours=True)
 
     return measure
@@ -245,11 +243,11 @@ MEASUREMENTS: dict[str, Measure] = {
     "sic_share_of_limit": measure_limit,
     "vector_env_vs_cartpole_vector": measure_vector_env,
     "single_env_vs_cartpole": measure_single_env,
-    "half_step_vs_whole": pair("a half", {"half": True}, "all techniques", {}),
-    "carry_step_vs_without": pair("with carry", CARRY, "without", {}),
-    "discount_step_vs_without": pair("with discount", DISCOUNT, "without", CARRY),
-    "belief_step_vs_evidence": pair("belief", {**BELIEF, **ONE}, "evidence", ONE),
-    "belief_two_threads_vs_one": pair("one thread", BELIEF, "two threads", THREADS),
+    "half_step_vs_whole": pair("a half", {"half": True}, "all techniques", {}, {}),
+    "carry_step_vs_without": pair("with carry", CARRY, "without", {}, {}),
+    "discount_step_vs_without": pair("with discount", {"discount": True}, "without", {}, CARRY),
+    "belief_step_vs_evidence": pair("belief", BELIEF, "evidence", {}, {"single": True}),
+    "belief_two_threads_vs_one": pair("one thread", {}, "two threads", {"threads": 2}, BELIEF),
     "ppo_vs_constant_env": measure_ppo,
 }
 

@@ -31,7 +31,6 @@ BINS = 10  # of the calibration error and of the figure
 SURE = 0.9  # a place of this p̂ or more is one that somebody may act on
 
 RECORDED, RETIMED = "as recorded", "re-timed"
-POOLED = "pooled"
 
 Groups = Mapping[str, Sequence[Trace]]
 """Drives by their timing: `RECORDED`, `RETIMED`."""
@@ -60,7 +59,7 @@ def held_against_truth(banks: Sequence[tuple[str, Groups]]) -> dict[str, Any]:
     pooled = pool(banks)
     fused = [
         {"bank": name, "timing": timing, **_fused(traces)}
-        for name, groups in (*banks, (POOLED, pooled))
+        for name, groups in (*banks, ("pooled", pooled))
         for timing, traces in groups.items()
     ]
     curves = {timing: _curve(traces) for timing, traces in pooled.items()}

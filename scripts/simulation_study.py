@@ -44,8 +44,7 @@ Rows = dict[str, dict[str, float]]  # "bank technique" -> its measures
 def recordings(paths: Sequence[Path]) -> list[ScoreBank]:
     """The given banks, and Corridor where there is one."""
     banks = [ScoreBank.load(path) for path in paths]
-    named = os.environ.get("AMUSIC_DATA")
-    if named:
+    if named := os.environ.get("AMUSIC_DATA"):
         banks.append(from_recording(Path(named) / "corridor"))
     if not banks:
         raise ValueError("no recording to compare with; give --bank or set AMUSIC_DATA")

@@ -1,4 +1,4 @@
-"""scripts/scale.py runs on tiny sizes, goes on where it was, and measures what it says."""
+"""scripts/scale.py runs on tiny sizes and measures what it says."""
 
 from __future__ import annotations
 
@@ -22,41 +22,21 @@ def scale(monkeypatch):
     return importlib.import_module("scale")
 
 
-@pytest.fixture
-def shortlist(scale):
-    return importlib.import_module("_scale_shortlist")
-
-
-def run(scale, monkeypatch, capsys, out: Path) -> str:
-    monkeypatch.setattr(sys, "argv", ["scale.py", "--quick", "--out", str(out)])
+def test_tiny_sizes_make_every_table(scale, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(sys, "argv", ["scale.py", "--quick", "--out", str(tmp_path)])
     scale.main()
-    return capsys.readouterr().out
-
-
-def test_tiny_sizes_make_every_table_and_nothing_twice(scale, monkeypatch, tmp_path, capsys):
-    first = run(scale, monkeypatch, capsys, tmp_path)
     written = (tmp_path / "tables.md").read_text("utf-8")
-    assert first.strip() == written.strip()
+    assert capsys.readouterr().out.strip() == written.strip()
     titles = [line for line in written.splitlines() if line.startswith("### ")]
     assert len(titles) == 7
     assert len({len(line.split("|")) for line in written.splitlines() if " 20% |" in line}) == 1
 
-    def forbidden(*arguments):
-        raise AssertionError("measured again")
 
-    for name in ("drive", "match", "driven"):
-        monkeypatch.setattr(scale, name, forbidden)
-    assert run(scale, monkeypatch, capsys, tmp_path) == first
-    next((tmp_path / "cells").iterdir()).unlink()
-    with pytest.raises(AssertionError, match="measured again"):
-        run(scale, monkeypatch, capsys, tmp_path)
-
-
-def test_a_shortlist_keeps_the_best_of_every_row(shortlist):
+def test_a_shortlist_keeps_the_best_of_every_row(scale):
     bank = random_bank(3, queries=5, references=40, levels=1000)
     scores = bank.scores
-    for fill in shortlist.FILLS:
-        left = shortlist.shortened(bank, 0.1, fill).scores
+    for fill in scale.FILLS:
+        left = scale.shortened(bank, 0.1, fill).scores
         for now, row in zip(left.reshape(-1, 40), scores.reshape(-1, 40), strict=True):
             best = np.argsort(-row, kind="stable")[:4]
             rest = np.setdiff1d(np.arange(40), best)
@@ -67,5 +47,5 @@ def test_a_shortlist_keeps_the_best_of_every_row(shortlist):
 
 
 def test_memory_of_a_drive_is_one_sum_per_technique_and_place(scale):
-    few, many = (scale.drive("evidence", places, 2, 1, 30)["mib"] for places in (2_000, 20_000))
+    few, many = (scale.step_of("evidence", places, 2, 1, 30)["mib"] for places in (2_000, 20_000))
     assert 7 < (many - few) * 2**20 / (18_000 * 2) < 9
