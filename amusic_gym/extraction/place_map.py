@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from amusic_gym.banks.costs import declared_seconds
 from amusic_gym.banks.scores import check_names
 from amusic_gym.extraction import map_files
 from amusic_gym.extraction.blocks import Stored, aligned
-from amusic_gym.extraction.cache import Cache
+from amusic_gym.extraction.cache import Cache, opened
 from amusic_gym.extraction.code import identity
 from amusic_gym.extraction.describe import ExtractionPlan, describe, images_of
 from amusic_gym.extraction.executors import make_executor
-from amusic_gym.extraction.extract import declared_seconds
 from amusic_gym.extraction.map import DescribedMap
 from amusic_gym.extraction.map_files import DescribedBy, MapContents
 from amusic_gym.extraction.progress import Progress
@@ -266,9 +265,7 @@ class _Described:
     ) -> _Described:
         images, say = images_of(folder), Progress(progress)
         blocks, costs = [], []
-        with ExitStack() as stack:
-            store = cache if isinstance(cache, Cache) else stack.enter_context(Cache(cache))
-            where = stack.enter_context(make_executor(executor))
+        with opened(cache) as store, make_executor(executor) as where:
             for one in techniques:
                 plan = ExtractionPlan(one, images, images)
                 with where.workers(one) as workers:
