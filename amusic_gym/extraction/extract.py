@@ -25,16 +25,14 @@ from amusic_gym.extraction.progress import Progress
 from amusic_gym.extraction.seconds import known_cost
 from amusic_gym.extraction.shards import Executor
 from amusic_gym.routes.bank_images import BankImages
-from amusic_gym.routes.folders import ImageFolder, check_apart
+from amusic_gym.routes.folders import Folder, check_apart, folder_of
 from amusic_gym.routes.image_truth import by_index
 from amusic_gym.techniques import Technique, make_technique
 
-_Folder = ImageFolder | str | os.PathLike[str]
-
 
 def extract(
-    reference: _Folder,
-    query: _Folder,
+    reference: Folder,
+    query: Folder,
     techniques: Sequence[Technique | str] | Technique | str,
     *,
     tolerance: int | None = None,
@@ -103,9 +101,7 @@ def extract(
             )
     if out is not None:
         _check_writable(Path(out))
-    map_folder, run_folder = (
-        each if isinstance(each, ImageFolder) else ImageFolder(each) for each in (reference, query)
-    )
+    map_folder, run_folder = folder_of(reference), folder_of(query)
     check_apart(map_folder, run_folder)
     if ground_truth is None and tolerance is not None:
         ground_truth = by_index(map_folder, run_folder, tolerance, exact=True)

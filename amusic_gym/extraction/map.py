@@ -15,7 +15,7 @@ from amusic_gym.extraction.cache import Cache, opened
 from amusic_gym.extraction.describe import ExtractionPlan, describe, images_of
 from amusic_gym.extraction.executors import make_executor
 from amusic_gym.extraction.progress import Progress
-from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.routes.folders import Folder, folder_of
 from amusic_gym.techniques import Descriptor, Image, Technique, make_technique
 from amusic_gym.utils.threads import limit_this_thread, one_thread
 
@@ -111,7 +111,7 @@ class DescribedMap:
 
 
 def describe_map(
-    folder: ImageFolder | str | os.PathLike[str],
+    folder: Folder,
     technique: Technique | str,
     *,
     cache: str | os.PathLike[str] | Cache | None = None,
@@ -137,9 +137,9 @@ def describe_map(
         ValueError: for one that cannot be read or described.
     """
     technique = make_technique(technique) if isinstance(technique, str) else technique
-    folder = folder if isinstance(folder, ImageFolder) else ImageFolder(folder)
+    places = folder_of(folder)
     with opened(cache) as store:
-        plan = ExtractionPlan(technique, images_of(folder), Images((), ()))
+        plan = ExtractionPlan(technique, images_of(places), Images((), ()))
         with make_executor(executor) as where, where.workers(technique) as workers:
             blocks: Sequence[Stored] = describe(
                 plan, store, workers, Progress(progress), query=False

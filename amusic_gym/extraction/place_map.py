@@ -25,7 +25,7 @@ from amusic_gym.extraction.map_files import DescribedBy, MapContents
 from amusic_gym.extraction.progress import Progress
 from amusic_gym.extraction.seconds import known_cost, measure_cost
 from amusic_gym.extraction.thumbnails import Thumbnails
-from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.routes.folders import Folder, ImageFolder, folder_of
 from amusic_gym.routes.positions import Positions
 from amusic_gym.techniques import Image, Technique, make_technique
 from amusic_gym.utils import storage
@@ -133,7 +133,7 @@ class PlaceMap:
 
 
 def build_map(
-    images: ImageFolder | str | os.PathLike[str],
+    images: Folder,
     techniques: Sequence[str | Technique],
     out: str | os.PathLike[str],
     *,
@@ -166,7 +166,7 @@ def build_map(
     """
     given = {key: Path(value).absolute() for key, value in (weights or {}).items()}
     made = [_made(each, given) for each in techniques]
-    folder = images if isinstance(images, ImageFolder) else ImageFolder(images)
+    folder = folder_of(images)
     if positions is not None and len(positions) != len(folder):
         raise ValueError(f"{len(positions)} positions for {len(folder)} images; give one for each")
     if not 0 < len(made) <= map_files.MOST_TECHNIQUES:
@@ -196,7 +196,7 @@ def build_map(
 
 def append_to_map(
     path: str | os.PathLike[str],
-    images: ImageFolder | str | os.PathLike[str],
+    images: Folder,
     *,
     weights: Mapping[str, str | Path] | None = None,
     positions: Positions | None = None,
@@ -212,7 +212,7 @@ def append_to_map(
     path = Path(path)
     there = map_files.read(path, verify=True)  # else new checksums would vouch for damage
     made = _techniques(path, there.techniques, (), weights or {})
-    folder = images if isinstance(images, ImageFolder) else ImageFolder(images)
+    folder = folder_of(images)
     if (there.positions is None) != (positions is None):
         raise ValueError(
             f"{path} has {'no ' if there.positions is None else ''}positions; add images"
