@@ -1,7 +1,5 @@
-"""What all measurements of the bench share: the bank, the checks, the sizes and plain NumPy."""
+"""What all measurements of the bench share: the bank, the sizes and plain NumPy."""
 
-import math
-from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,8 +13,6 @@ from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.estimation.sic.state import LIVE, state_at
 from amusic_gym.estimation.sic.sums import correct_frame, count_runs, push
 from amusic_gym.kernels.compiling import compiled
-
-TOLERANCE = 5
 
 PLAIN: dict[str, Any] = {"statistic": "evidence", "carry": False, "discount": False}
 """What the NumPy side computes, too."""
@@ -64,51 +60,12 @@ class Material:
         scores[:, seen, truth[seen]] += 2.0
         names = [f"technique {t}" for t in range(sizes.techniques)]
         seconds = 0.05 * 2.0 ** np.arange(sizes.techniques)
-        self.bank = ScoreBank(
-            scores, names, seconds, tolerance=TOLERANCE, ground_truth=truth, name="bench"
-        )
-        self.starts = np.arange(sizes.routes)
-        self.everything = np.ones((sizes.routes, sizes.techniques), np.int8)
+        self.bank = ScoreBank(scores, names, seconds, tolerance=5, ground_truth=truth, name="bench")
 
-    def env_arguments(self, **other: Any) -> dict[str, Any]:
+    def arguments(self, **other: Any) -> dict[str, Any]:
         """Arguments of every environment measured: `PLAIN`, but for others that are given."""
         settings = {"candidates": self.sizes.candidates, "history": self.sizes.history}
         return {"bank": self.bank, **settings, **PLAIN, **other}
-
-    def stepper(
-        self, env: Any, actions: Iterator[Any], start: Any, behind: int
-    ) -> Callable[[], object]:
-        """A route played and checked, begun again at ``start`` and brought to where timing starts.
-
-        With ``behind`` 1 that is sooner by the timed frames: of two sides on the same frames, the
-        second would find their rows in the cache. What is returned steps through one round.
-        """
-        sizes = self.sizes
-
-        def advance(steps: int = sizes.steps) -> dict[str, Any]:
-            for _ in range(steps):
-                infos: dict[str, Any] = env.step(next(actions))[-1]
-            return infos
-
-        env.reset(seed=0, options={"start": start})
-        self._check_places(advance(sizes.frames))
-        env.reset(seed=0, options={"start": start})
-        advance(sizes.frames - (1 + behind) * (sizes.rounds + 1) * sizes.steps)
-        return advance
-
-    def _check_places(self, infos: dict[str, Any]) -> None:
-        """Compare the last frame's predictions with the true places, where there are any.
-
-        The true place, two deviations above the noise in every technique, is sometimes among
-        nobody's candidates.
-        """
-        places = np.atleast_1d(infos["prediction"])
-        true = np.arange(len(places)) + self.sizes.frames - 1 - self.sizes.routes
-        found = np.abs(places - true)[true < self.sizes.places] <= TOLERANCE
-        if found.mean() < 0.5:
-            raise RuntimeError(
-                f"{found.mean():.0%} of the routes are right: nothing wrong is timed"
-            )
 
 
 class Corrections:
@@ -130,22 +87,17 @@ class Corrections:
         self.frames = range(sizes.frames - sizes.steps, sizes.frames)  # timed
         for query in range(bank.queries):
             prepare(self.runs[0], query)
-        for frame in range(self.frames.start):
-            self.at(frame)
+        self.forward(range(self.frames.start))
         self._kept = (self.sums.copy(), self.marks.copy())
-
-    def at(self, frame: int) -> None:
-        """One correction on every route."""
-        correct_routes(self._address, frame, self.places, self.statistics)
 
     def rewind(self) -> None:
         """Go back to before the timed frames."""
         self.sums[:], self.marks[:] = self._kept
 
-    def forward(self) -> None:
-        """One correction on every route and timed frame."""
-        for frame in self.frames:
-            self.at(frame)
+    def forward(self, frames: range | None = None) -> None:
+        """One correction on every route and frame; None: those that are timed."""
+        for frame in frames or self.frames:
+            correct_routes(self._address, frame, self.places, self.statistics)
 
     def add_rows(self) -> None:
         """Only the accumulator's part of it."""
@@ -184,13 +136,6 @@ def stream(rows: Any, windows: Any) -> None:
             window[place] += row[place]
 
 
-def standardised(rows: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Rows (Q, R) less their mean, over their population σ."""
-    wide = rows.astype(np.float64)
-    deviation = wide.std(axis=1, keepdims=True)
-    return np.asarray((wide - wide.mean(axis=1, keepdims=True)) / deviation)
-
-
 def gather(
     z: NDArray[np.float64], frame: int, top: NDArray[np.int64], history: int
 ) -> NDArray[np.float64]:
@@ -205,9 +150,3 @@ def gather(
     terms = np.where(on_map, z.ravel().take(flat, mode="wrap"), 0.0)
     statistics: NDArray[np.float64] = terms.sum(axis=1) / np.sqrt(on_map.sum(axis=1))
     return statistics
-
-
-def same(what: str, got: float, want: float, relative: float) -> None:
-    """Refuse to time what is wrong: what differs by more than ``relative``."""
-    if not math.isclose(got, want, rel_tol=relative, abs_tol=relative):
-        raise RuntimeError(f"{what} is {got}, but NumPy says {want}: nothing wrong is timed")

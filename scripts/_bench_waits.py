@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from _bench_material import Sizes
+from _cli import ROOT
 from amusic_baselines import make_policy
 
 from amusic_gym.envs.live_route import LiveRoute
@@ -19,13 +20,12 @@ from amusic_gym.extraction import BLOCK
 from amusic_gym.extraction.map import DescribedMap
 from amusic_gym.live.navigation import navigate
 from amusic_gym.policies.protocol import Context
-from amusic_gym.techniques import Technique, make_technique
+from amusic_gym.techniques import make_technique
 from amusic_gym.worlds import Image, traverse
 
 TECHNIQUES = ("hog", "cohog", "calc", "netvlad")
 """The paper's, whose speed is told: none needs a file or an optional part."""
 
-ROOT = Path(__file__).resolve().parent.parent
 STATISTICS = {"": SICSettings.statistic, "belief_": "belief"}  # prefix of the keys → statistic
 
 Report = Callable[[str, float, str], None]  # takes a key, its value, and a sentence on it
@@ -47,15 +47,9 @@ print(time.perf_counter() - start)
 
 def seconds_of(statistic: str, cache: Path) -> float:
     """Seconds of the first reset and step in a process of its own; "": of the import."""
-    paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM.format(statistic=statistic)],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": paths},
-    )
-    return float(done.stdout)
+    command = [sys.executable, "-c", PROGRAM.format(statistic=statistic)]
+    own = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
+    return float(subprocess.check_output(command, text=True, cwd=ROOT, env=own))
 
 
 def measure_start(sizes: Sizes, report: Report) -> None:
@@ -84,7 +78,11 @@ def measure_images(sizes: Sizes, report: Report) -> None:
             seconds.append(time.perf_counter() - start)
         median = statistics.median(seconds[1:])  # the first one warms up
         report(f"{name}_describe_ms", 1e3 * median, "ms to describe a 320×240 query image")
-    reference = large_map(make_technique("hog"), images, sizes.live_places)
+    technique = make_technique("hog")
+    described = np.stack([technique.describe(image) for image in images])  # over and over
+    at = np.arange(sizes.live_places) % len(described)
+    blocks = [described[at[i : i + BLOCK]] for i in range(0, at.size, BLOCK)]
+    reference = DescribedMap(technique, blocks)
     for prefix, statistic in STATISTICS.items():
         wall, own = drive(reference, images, sizes.live_frames, statistic)
         if not prefix:
@@ -92,13 +90,6 @@ def measure_images(sizes: Sizes, report: Report) -> None:
             report("live_hog_frames_per_second", float(1e3 / np.median(wall)), places)
         what = f"ms per frame beyond the techniques, {statistic}"
         report(f"{prefix}live_overhead_ms", float(np.median(wall - own)), what)
-
-
-def large_map(technique: Technique, images: list[Image], places: int) -> DescribedMap:
-    """A map of so many places: the images' descriptors over and over, in memory."""
-    described = np.stack([technique.describe(image) for image in images])
-    at = np.arange(places) % len(described)
-    return DescribedMap(technique, [described[at[i : i + BLOCK]] for i in range(0, places, BLOCK)])
 
 
 def drive(

@@ -26,9 +26,18 @@ from amusic_gym.cli import start  # noqa: E402  (found by the lines above)
 from amusic_gym.cli.parser import Parser, destination, pairs  # noqa: E402
 from amusic_gym.cli.status import run  # noqa: E402
 
-__all__ = ["Parser", "destination", "door", "pairs", "run"]
+__all__ = ["Parser", "destination", "door", "pairs", "run", "train_weights"]
 
 
 def door(name: str) -> NoReturn:
     """Run the command ``amusic NAME`` under the script's name."""
     run(partial(start, name))
+
+
+def train_weights(technique: str, about: str | None, words: list[str] | None = None) -> None:
+    """Train the weights of a technique that ships, as the words of the command say."""
+    from amusic_gym.pretraining import add_arguments, train
+
+    parser = Parser(description=about)
+    add_arguments(parser, destination)
+    train(technique, parser.parse_args(words))

@@ -47,7 +47,7 @@ def milliseconds(work: Callable[[], object], rounds: int) -> float:
     return statistics.median(taken[WARM_UP:])
 
 
-def drive(statistic: str, places: int, techniques: int, routes: int, frames: int) -> Row:
+def step_of(statistic: str, places: int, techniques: int, routes: int, frames: int) -> Row:
     """A step in which all techniques run on rows that were never read before.
 
     Returns:

@@ -3,75 +3,91 @@
     python scripts/bench.py --out FILE.json
 
 The sides take turns, after one warm-up, on one thread unless it says two; each figure is a median.
-SIC is compared with NumPy's gather before it is timed, the environments with the true places. All
-with the statistic `evidence`, γ = 1, nothing carried on and no discount, unless it says so. And
-what a user waits for, with the defaults, which is this machine's: import_seconds,
-first_step_cold_seconds, first_step_cached_seconds, TECHNIQUE_describe_ms,
-live_hog_frames_per_second and live_overhead_ms (per frame, beyond the techniques that ran); with a
-`belief_` before it, of that statistic. docs/performance.md says what each ratio is.
+SIC is compared with NumPy's gather before it is timed. All with the statistic `evidence`, γ = 1,
+nothing carried on and no discount, unless it says so. And what a user waits for, with the defaults,
+which is this machine's: import_seconds, first_step_cold_seconds, first_step_cached_seconds,
+TECHNIQUE_describe_ms, live_hog_frames_per_second and live_overhead_ms (per frame, beyond the
+techniques that ran); with a `belief_` before it, of that statistic. docs/performance.md says what
+each ratio is.
 """
 
+import _one_thread  # noqa: F401  (first: NumPy reads it)
+
+# isort: split
 import inspect
 import json
+import statistics
+import time
 from collections.abc import Callable
 from functools import partial
 from itertools import cycle
 from typing import Any, NamedTuple
 
-from _timing import Side, interleave, one_thread, readable
+import gymnasium as gym
+import numpy as np
+from _bench_material import BYTES_PER_PLACE, QUICK, Corrections, Material, Sizes, gather, stream
+from _bench_waits import measure_images, measure_start
+from _cli import Parser, destination, run
+from amusic_baselines.scores import standardised
 
-one_thread()
+from amusic_gym.envs.env import TechniqueSelectionEnv
+from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
+from amusic_gym.utils.storage import write_whole
 
-from _cli import Parser, destination, run  # noqa: E402  (after the line above, which NumPy reads)
+Settings = dict[str, Any]
+CARRY: Settings = {"carry": True}
+BELIEF: Settings = {"statistic": "belief", "carry": None, "discount": None}
 
-# isort: split
-import gymnasium as gym  # noqa: E402
-import numpy as np  # noqa: E402
-from _bench_material import (  # noqa: E402
-    BYTES_PER_PLACE,
-    QUICK,
-    Corrections,
-    Material,
-    Sizes,
-    gather,
-    same,
-    standardised,
-    stream,
-)
-from _bench_waits import measure_images, measure_start  # noqa: E402
-
-from amusic_gym.envs.env import TechniqueSelectionEnv  # noqa: E402
-from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv  # noqa: E402
-from amusic_gym.utils.storage import write_whole  # noqa: E402
-
-CARRY: dict[str, Any] = {"carry": True}
-DISCOUNT: dict[str, Any] = {"carry": True, "discount": True}
-BELIEF: dict[str, Any] = {"statistic": "belief", "carry": None, "discount": None}
-THREADS: dict[str, Any] = {**BELIEF, "threads": 2}
+Measured = tuple[float, str]  # a ratio, and a sentence on both sides
+Measure = Callable[[Material], Measured]
 
 
-class Measured(NamedTuple):
-    """A line of the table."""
+class Side(NamedTuple):
+    """One of two things to compare."""
 
-    ratio: float
-    sides: tuple[Side, Side]
-    seconds: tuple[float, float]  # per unit
-    unit: str
+    name: str  # what is timed, for the table
+    work: Callable[[], object]  # the timed call
+    units: float  # units of work (steps, corrections, bytes) of one call
+    # brings the state back before every call; not timed
+    prepare: Callable[[], object] = lambda: None
 
 
 def compare(
-    ours: Side, theirs: Side, rounds: int, unit: str = "step", *, time: bool = False
+    ours: Side, theirs: Side, rounds: int, unit: str = "step", *, time_of_ours: bool = False
 ) -> Measured:
-    """Units of our side in the time of one of theirs; with ``time``, its time by theirs."""
-    mine, other = interleave(ours, theirs, rounds)
-    return Measured(mine / other if time else other / mine, (ours, theirs), (mine, other), unit)
+    """Units of our side in the time of one of theirs; or its time by theirs.
+
+    The sides take turns, A B A B …, so that a slower spell of the machine meets both; the median
+    over the rounds forgives what else it does in a few of them. The first round is not counted.
+    """
+    samples: tuple[list[float], list[float]] = ([], [])
+    for _ in range(rounds + 1):
+        for side, kept in zip((ours, theirs), samples, strict=True):
+            side.prepare()
+            start = time.perf_counter()
+            side.work()
+            kept.append((time.perf_counter() - start) / side.units)
+    mine, other = (statistics.median(kept[1:]) for kept in samples)
+    both = f"{ours.name} {readable(mine, unit)}, {theirs.name} {readable(other, unit)}"
+    sentence = both if unit == "byte" else f"{both} per {unit}"
+    return mine / other if time_of_ours else other / mine, sentence
+
+
+def readable(seconds: float, unit: str) -> str:
+    """A duration with three digits and its unit; of a byte, how many there are in a second."""
+    if unit == "byte":
+        return f"{1e-9 / seconds:.3g} GB/s"
+    for factor, name in ((1.0, "s"), (1e3, "ms"), (1e6, "µs")):
+        if seconds * factor >= 1.0:
+            return f"{seconds * factor:.3g} {name}"
+    return f"{seconds * 1e9:.3g} ns"
 
 
 def measure_sic(material: Material) -> Measured:
     """One SIC correction at the last frame against the K×F gather in NumPy."""
     sizes, ours = material.sizes, Corrections(material)
     frame, rows = sizes.frames - 1, material.bank.scores[0]
-    z = standardised(rows)
+    z = standardised(rows.astype(np.float64))
     top = np.argsort(-rows, axis=1, kind="stable")[:, : sizes.candidates]
 
     def gather_all() -> list[tuple[int, float]]:
@@ -82,10 +98,8 @@ def measure_sic(material: Material) -> Measured:
             found.append((int(top[i + frame][best]), float(values[best])))
         return found
 
-    ours.forward()
-    for i, (place, statistic) in enumerate(gather_all()):
-        same(f"place of route {i}", ours.places[i], place, 0.0)
-        same(f"statistic of route {i}", ours.statistics[i], statistic, 1e-9)
+    ours.forward()  # nothing wrong is timed
+    np.testing.assert_allclose(np.stack([ours.places, ours.statistics], 1), gather_all(), 1e-9)
     return compare(
         Side("compiled", ours.forward, sizes.routes * sizes.steps, ours.rewind),
         Side("NumPy gather", gather_all, sizes.routes),
@@ -113,23 +127,37 @@ def measure_limit(material: Material) -> Measured:
     )
 
 
-def vector_side(
-    material: Material, name: str, *, behind: int = 0, half: bool = False, **other: Any
-) -> Side:
-    """Steps of the vector env, all techniques or a random half of them."""
-    sizes, everything = material.sizes, material.everything
-    rng = np.random.default_rng(1)
-    actions = rng.integers(0, 2, (97, *everything.shape), np.int8) if half else [everything]
-    env = TechniqueSelectionVectorEnv(sizes.routes, **material.env_arguments(**other))
-    step = material.stepper(env, cycle(actions), material.starts, behind)
-    return Side(name, step, sizes.steps * sizes.routes)
+def env_side(
+    material: Material, name: str, *, single: bool = False, half: bool = False, behind: int = 0,
+    **settings: Any,
+) -> Side:  # fmt: skip
+    """Steps of the vector env, or the single one; all techniques run, or a random half of them.
 
+    A route is played, so that its rows are ready, begun again and brought to where timing starts.
+    With ``behind`` 1 that is sooner by the timed frames: of two sides on the same frames, the
+    second would find their rows in the cache.
+    """
+    sizes, arguments = material.sizes, material.arguments(**settings)
+    everything = np.ones((sizes.routes, sizes.techniques), np.int8)
+    env: Any
+    start: Any
+    if single:
+        env, routes, start = TechniqueSelectionEnv(**arguments), 1, 0
+        actions = cycle(everything[:1])
+    else:
+        routes, start = sizes.routes, np.arange(sizes.routes)
+        env = TechniqueSelectionVectorEnv(routes, **arguments)
+        drawn = np.random.default_rng(1).integers(0, 2, (97, *everything.shape), np.int8)
+        actions = cycle(drawn if half else everything[None])
 
-def single_side(material: Material, name: str, *, behind: int = 0, **other: Any) -> Side:
-    """Steps of the single env, all techniques, without wrappers."""
-    env = TechniqueSelectionEnv(**material.env_arguments(**other))
-    step = material.stepper(env, cycle(material.everything[:1]), 0, behind)
-    return Side(name, step, material.sizes.steps)
+    def advance(steps: int = sizes.steps) -> None:
+        for _ in range(steps):
+            env.step(next(actions))
+
+    for frames in (sizes.frames, sizes.frames - (1 + behind) * (sizes.rounds + 1) * sizes.steps):
+        env.reset(seed=0, options={"start": start})
+        advance(frames)
+    return Side(name, advance, sizes.steps * routes)
 
 
 def measure_vector_env(material: Material) -> Measured:
@@ -146,11 +174,11 @@ def measure_vector_env(material: Material) -> Measured:
             cartpole.step(next(pushes))
 
     theirs = Side("CartPole vector env", balance, sizes.steps * sizes.routes)
-    return compare(vector_side(material, "vector env"), theirs, sizes.rounds)
+    return compare(env_side(material, "vector env"), theirs, sizes.rounds)
 
 
 def measure_single_env(material: Material) -> Measured:
-    """The single env against CartPole."""
+    """The single env, without wrappers, against CartPole."""
     sizes = material.sizes
     cartpole = gym.make("CartPole-v1").unwrapped
     cartpole.reset(seed=0)
@@ -162,28 +190,22 @@ def measure_single_env(material: Material) -> Measured:
                 cartpole.reset()
 
     theirs = Side("CartPole", balance, sizes.steps)
-    return compare(single_side(material, "single env"), theirs, sizes.rounds)
+    return compare(env_side(material, "single env", single=True), theirs, sizes.rounds)
 
 
-def measure_pair(material: Material, pair: tuple[Any, ...]) -> Measured:
-    """Time of a step of one environment with two settings, see `PAIRS`.
+def pair(ours: str, settings: Settings, theirs: str, others: Settings, both: Settings) -> Measure:
+    """Measures the time of a step of one environment with two settings.
 
     The correlation of a row with the one before it is kept with the bank, as mean, deviation and
     candidates are: none of them is timed.
     """
-    side, ours, arguments, theirs, others = pair
-    first = side(material, ours, behind=1, **arguments)
-    return compare(first, side(material, theirs, **others), material.sizes.rounds, time=True)
 
+    def measure(material: Material) -> Measured:
+        first = env_side(material, ours, behind=1, **settings, **both)
+        second = env_side(material, theirs, **others, **both)
+        return compare(first, second, material.sizes.rounds, time_of_ours=True)
 
-PAIRS = {
-    "half_step_vs_whole": (vector_side, "a half", {"half": True}, "all techniques", {}),
-    "carry_step_vs_without": (vector_side, "with carry", CARRY, "without", {}),
-    "discount_step_vs_without": (vector_side, "with discount", DISCOUNT, "without", CARRY),
-    "belief_step_vs_evidence": (single_side, "belief", BELIEF, "evidence", {}),
-    "belief_two_threads_vs_one": (vector_side, "one thread", BELIEF, "two threads", THREADS),
-}
-"""Key → an environment, and the name and arguments of either side."""
+    return measure
 
 
 def measure_ppo(material: Material) -> Measured:
@@ -200,7 +222,7 @@ def measure_ppo(material: Material) -> Measured:
 
     torch.set_num_threads(1)
     sizes, sides = material.sizes, []
-    given = {**material.env_arguments(), "random_start": True, "autoreset_mode": "SameStep"}
+    given = material.arguments(random_start=True, autoreset_mode="SameStep")
     for kind, name in ((SB3VecEnv, "PPO on the env"), (Constant, "PPO on constants")):
         env = kind(TechniqueSelectionVectorEnv(sizes.routes, **given))
         observation = env.reset()
@@ -213,28 +235,21 @@ def measure_ppo(material: Material) -> Measured:
         steps = sizes.routes * sizes.ppo_steps
         learn = partial(model.learn, steps, reset_num_timesteps=False)
         sides.append(Side(name, learn, steps))
-    return compare(sides[0], sides[1], sizes.ppo_rounds, time=True)
+    return compare(sides[0], sides[1], sizes.ppo_rounds, time_of_ours=True)
 
 
-MEASUREMENTS: dict[str, Callable[[Material], Measured]] = {
+MEASUREMENTS: dict[str, Measure] = {
     "sic_vs_numpy": measure_sic,
     "sic_share_of_limit": measure_limit,
     "vector_env_vs_cartpole_vector": measure_vector_env,
     "single_env_vs_cartpole": measure_single_env,
-    **{key: partial(measure_pair, pair=pair) for key, pair in PAIRS.items()},
+    "half_step_vs_whole": pair("a half", {"half": True}, "all techniques", {}, {}),
+    "carry_step_vs_without": pair("with carry", CARRY, "without", {}, {}),
+    "discount_step_vs_without": pair("with discount", {"discount": True}, "without", {}, CARRY),
+    "belief_step_vs_evidence": pair("belief", BELIEF, "evidence", {}, {"single": True}),
+    "belief_two_threads_vs_one": pair("one thread", {}, "two threads", {"threads": 2}, BELIEF),
     "ppo_vs_constant_env": measure_ppo,
 }
-
-
-def _sentence(measured: Measured) -> str:
-    """Both sides' times per unit, or their bytes per second."""
-    names = (side.name for side in measured.sides)
-    if measured.unit == "byte":
-        shown = [f"{1e-9 / seconds:.3g} GB/s" for seconds in measured.seconds]
-    else:
-        shown = [readable(seconds) for seconds in measured.seconds]
-    both = ", ".join(f"{name} {time}" for name, time in zip(names, shown, strict=True))
-    return both if measured.unit == "byte" else f"{both} per {measured.unit}"
 
 
 def main() -> None:
@@ -263,8 +278,7 @@ def main() -> None:
 
     material = Material(sizes)
     for name in args.only or MEASUREMENTS:
-        measured = MEASUREMENTS[name](material)
-        report(name, measured.ratio, _sentence(measured))
+        report(name, *MEASUREMENTS[name](material))
     if not args.only:
         measure_start(sizes, report)
         measure_images(sizes, report)

@@ -1,42 +1,42 @@
 """Measure what grows with places, techniques, routes and frames, and print docs/scale.md's tables.
 
-Times are of one thread, in processor time, so that what else the machine does hardly counts. What
-is finished in DIR is not measured again unless code changes. By default it takes less than ten
-minutes of one processor and 5 GiB of memory.
+Times are of one thread, in processor time, so that what else the machine does hardly counts. By
+default it takes less than ten minutes of one processor and 5 GiB of memory.
 """
 
-from _timing import one_thread
+import _one_thread  # noqa: F401  (first: NumPy reads it)
 
-one_thread()
+# isort: split
+import argparse
+import warnings
+from collections.abc import Iterator, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import NamedTuple
 
-import argparse  # noqa: E402
-import sys  # noqa: E402
-from collections.abc import Callable, Iterator  # noqa: E402
-from functools import partial  # noqa: E402
-from itertools import chain  # noqa: E402
-from pathlib import Path  # noqa: E402
-from typing import Any, NamedTuple  # noqa: E402
+import numpy as np
+from _cli import Parser, destination, run
+from _drives import drive
+from _scale_growth import DESCRIPTORS, GIB, Row, descriptor_bytes, match, step_of
+from amusic_agents.evaluation import held_out_routes
 
-from _cli import Parser, destination, run  # noqa: E402
-from _scale_growth import DESCRIPTORS, GIB, Row, descriptor_bytes, drive, match  # noqa: E402
-from _scale_shortlist import (  # noqa: E402
-    BEST,
-    COMPETENCES,
-    FILLS,
-    driven,
-    load_faiss,
-    rendered,
-    search,
-)
-from amusic_agents.evaluation import held_out_routes  # noqa: E402
-from tqdm import tqdm  # noqa: E402
-
-from amusic_gym.envs.sources import ordinary  # noqa: E402
-from amusic_gym.evaluation import store  # noqa: E402
-from amusic_gym.evaluation.tables import Table  # noqa: E402
-from amusic_gym.utils.storage import write_whole  # noqa: E402
+from amusic_gym.banks.bank import ScoreBank
+from amusic_gym.banks.ranking import highest
+from amusic_gym.cli.demo_tours import FIRST_WORLD, WORLDS, render_world
+from amusic_gym.cli.images import extract_tour
+from amusic_gym.envs.sources import ordinary
+from amusic_gym.evaluation.metrics import summarise
+from amusic_gym.evaluation.tables import Table
+from amusic_gym.routes.tours import make_tour
+from amusic_gym.utils.storage import write_whole
 
 STATISTICS = ("evidence", "belief")
+TOLERANCE = 2
+TECHNIQUES = ("hog", "calc", "netvlad")  # on rendered images
+SECONDS = {"HOG": 1.0, "CALC": 1.0, "NetVLAD": 1.0}  # which change nothing here
+
+FILLS = ("floor", "mean", "none")
+"""What places beyond the shortlist get: the least score of it, the row's mean, −∞."""
 
 
 class Sizes(NamedTuple):
@@ -50,37 +50,12 @@ class Sizes(NamedTuple):
     drive: int = 24  # frames, where they do not grow
     rounds: int = 5
     memory: float = 2.1 * GIB  # of the largest map that is matched
-    lists: int = 1_000  # of the index
-    probes: tuple[int, ...] = (1, 4, 16, 64)
-    queries: int = 200
     shares: tuple[float, ...] = (0.2, 0.05, 0.02, 0.01)
     simulated: int = 12  # routes
     rendered: int = 100  # places of each world
 
 
-QUICK = Sizes(
-    *((100, 200), (1, 2), (1, 2), (20, 40), 100, 8, 2, 1e6, 8, (1, 8), 10, (0.2,), 1, 12),
-)
-
-
-class Measured:
-    """Rows in the folder ``out``, each measured once; ``total`` of them, for the bar."""
-
-    def __init__(self, out: Path, total: int) -> None:
-        self._folder = out / "cells"
-        parts = sorted(Path(__file__).parent.glob("_scale_*.py"))
-        self._code = [store.code_digest(part) for part in parts]
-        self._bar = tqdm(total=total, unit="row", disable=not sys.stderr.isatty())
-
-    def row(self, name: str, measure: Callable[[], Any]) -> Any:
-        """What ``measure`` gives, or gave when it was last called by this name."""
-        self._bar.set_description(name)
-        stem = store.stem_of({"what": name, "code": self._code})
-        if (body := store.load(self._folder, stem)) is None:
-            body = {"found": measure()}
-            store.save(self._folder, stem, body)
-        self._bar.update()
-        return body["found"]
+QUICK = Sizes((100, 200), (1, 2), (1, 2), (20, 40), 100, 8, 2, 1e6, (0.2,), 1, 12)
 
 
 def figure(number: float) -> str:
@@ -89,7 +64,7 @@ def figure(number: float) -> str:
     return f"{rounded:,.0f}" if rounded >= 100 else f"{rounded:g}"
 
 
-def growth(sizes: Sizes, measured: Measured) -> Iterator[Table]:
+def growth(sizes: Sizes) -> Iterator[Table]:
     """Time and memory of a step, by what grows."""
     few = sizes.techniques[:3][-1]
     for what in ("places", "techniques", "routes", "frames"):
@@ -99,9 +74,7 @@ def growth(sizes: Sizes, measured: Measured) -> Iterator[Table]:
         rows = []
         for number in getattr(sizes, what):
             shape = tuple({**usual, what: number}.values())
-            both = [
-                measured.row(f"{each} {shape}", partial(drive, each, *shape)) for each in STATISTICS
-            ]
+            both = [step_of(each, *shape) for each in STATISTICS]
             kept = [figure(row["mib"]) for row in both]
             times = [figure(row["ms"]) for row in both]
             rows.append([f"{number:,}", *times, *kept, figure(both[0]["bank_mib"])])
@@ -117,24 +90,24 @@ def growth(sizes: Sizes, measured: Measured) -> Iterator[Table]:
         yield Table(f"By {what}: {fixed}", heads, rows)
 
 
-def matching(sizes: Sizes, measured: Measured) -> Iterator[Table]:
+def matching(sizes: Sizes) -> Iterator[Table]:
     """Time and memory of matching a query with a map."""
     rows = []
     for name in DESCRIPTORS:
-        largest: tuple[int, Row] | None = None
-        cells = []
-        for places in sizes.places:
-            if descriptor_bytes(name, places) <= sizes.memory or largest is None:
-                largest = (
-                    places,
-                    measured.row(f"{name} {places}", partial(match, name, places, sizes.rounds)),
-                )
-                cells.append(figure(largest[1]["ms"]))
-            else:
-                cells.append(f"{figure(largest[1]['ms'] * places / largest[0])} †")
-        assert largest is not None
-        bare = largest[1].get("product_ms")
-        share = "" if bare is None else f"{bare / largest[1]['ms']:.2f}"
+        measured = {
+            places: match(name, places, sizes.rounds)
+            for places in sizes.places
+            if places == sizes.places[0] or descriptor_bytes(name, places) <= sizes.memory
+        }
+        largest = max(measured)
+        ms, bare = measured[largest]["ms"], measured[largest].get("product_ms")
+        cells = [
+            figure(measured[places]["ms"])
+            if places in measured
+            else f"{figure(ms * places / largest)} †"
+            for places in sizes.places
+        ]
+        share = "" if bare is None else f"{bare / ms:.2f}"
         size = descriptor_bytes(name, 1) // 4
         memory = descriptor_bytes(name, sizes.places[-1]) / GIB
         rows.append([name, f"{size:,}", *cells, share, figure(memory)])
@@ -146,27 +119,7 @@ def matching(sizes: Sizes, measured: Measured) -> Iterator[Table]:
     yield Table("Matching one query", heads, rows, note)
 
 
-def index(sizes: Sizes, measured: Measured) -> Iterator[Table]:
-    """Exact search against an index's."""
-    places = sizes.places[-1]
-    given = places, sizes.lists, sizes.probes, sizes.queries, sizes.rounds
-    found = measured.row(f"index {given} {load_faiss() is None}", partial(search, *given))
-    rows = [
-        [
-            row["by"] if row["lists"] is None else f"{row['lists']} of {sizes.lists:,} lists",
-            *(figure(row["ms"]), figure(row["mib"])),
-            *(f"{row[f'found {each}']:.3f}" for each in COMPETENCES),
-        ]
-        for row in found
-    ]
-    heads = [
-        *("searched", "ms", "MiB more"),
-        *(f"true place in the best {BEST}, competence {each}" for each in COMPETENCES),
-    ]
-    yield Table(f"An index by {found[-1]['by']} over {places:,} places", heads, rows)
-
-
-def cost(sizes: Sizes, measured: Measured, out: Path) -> Iterator[Table]:
+def cost(sizes: Sizes, out: Path) -> Iterator[Table]:
     """Accuracy and AUC after SIC and the belief where only a shortlist's scores exist."""
     tour = rendered(out, sizes.rendered)
     for statistic in STATISTICS:
@@ -177,15 +130,67 @@ def cost(sizes: Sizes, measured: Measured, out: Path) -> Iterator[Table]:
         rows = []
         for share, fill in [(1.0, ""), *((s, f) for s in sizes.shares for f in FILLS)]:
             row = [f"{share:.0%}", {"none": "−∞"}.get(fill, fill)]
-            for kind, banks in routes.items():
-                name = f"{sizes.simulated} {sizes.rendered} {kind} {statistic} {share} {fill}"
-                means = measured.row(name, partial(driven, banks, share, fill, statistic))
+            for banks in routes.values():
+                means = driven(banks, share, fill, statistic)
                 row += [f"{means[each]:.3f}" for each in ("single", "music", "music_auc")]
             rows.append(row)
         heads = ["scores", "the others get"] + [
             f"{kind}: {what}" for kind in routes for what in ("single", "music", "AUC of music")
         ]
         yield Table(f"Accuracy after {statistic}, by shortlist", heads, rows, words=2)
+
+
+def rendered(out: Path, places: int) -> ScoreBank:
+    """A tour through the demo's rendered worlds, joined in one map; images are kept in ``out``."""
+    parts = [
+        render_world(places, out / "images" / world.kind, world, seed)
+        for seed, world in enumerate(WORLDS, FIRST_WORLD)
+    ]
+    tour = make_tour(parts, seed=1)
+    return extract_tour(tour, TECHNIQUES, TOLERANCE, seconds=SECONDS, cache=out / "cache")
+
+
+def shortened(bank: ScoreBank, share: float, fill: str) -> ScoreBank:
+    """The bank as a shortlist leaves it: of every row only the best share of the scores exists."""
+    scores = np.array(bank.scores)
+    count = max(1, round(share * bank.references))
+    for row in scores.reshape(-1, bank.references):
+        kept = highest(row, count)
+        rest = {"floor": row[kept[-1]], "mean": row.mean(), "none": -np.inf}[fill]
+        best = row[kept]
+        row[:] = np.minimum(rest, best[-1])
+        row[kept] = best
+    return ScoreBank(
+        scores,
+        bank.techniques,
+        bank.seconds,
+        tolerance=bank.tolerance,
+        ground_truth=bank.truth,
+        name=bank.name,
+    )
+
+
+def driven(banks: Sequence[ScoreBank], share: float, fill: str, statistic: str) -> Row:
+    """Means over routes of which a shortlist is left.
+
+    Returns:
+        ``single``: accuracy of each technique alone; ``music`` and ``music_auc``: accuracy and AUC
+        of all of them.
+    """
+    left = [shortened(bank, share, fill) for bank in banks] if fill else banks
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".* has no correct match", UserWarning)
+        single = [
+            summarise(drive(f"single:{name}", bank, statistic))["accuracy"]
+            for bank in left
+            for name in bank.techniques
+        ]
+        music = [summarise(drive("music", bank, statistic)) for bank in left]
+    return {
+        "single": float(np.mean(single)),
+        "music": float(np.mean([row["accuracy"] for row in music])),
+        "music_auc": float(np.mean([row["auc"] for row in music])),
+    }
 
 
 def main() -> None:
@@ -196,21 +201,8 @@ def main() -> None:
     add("--quick", action="store_true", help="tiny sizes, to see that it runs")
     args = parser.parse_args()
     sizes = QUICK if args.quick else Sizes()
-    shortlists = 1 + len(sizes.shares) * len(FILLS)
-    grown = [*sizes.places, *sizes.techniques, *sizes.routes, *sizes.frames]
-    maps = sum(
-        place == sizes.places[0] or descriptor_bytes(name, place) <= sizes.memory
-        for name in DESCRIPTORS
-        for place in sizes.places
-    )
-    measured = Measured(args.out, 2 * len(grown) + maps + 1 + 4 * shortlists)
     told = []
-    for table in chain(
-        growth(sizes, measured),
-        matching(sizes, measured),
-        index(sizes, measured),
-        cost(sizes, measured, args.out),
-    ):
+    for table in chain(growth(sizes), matching(sizes), cost(sizes, args.out)):
         told.append(table.markdown())
         print(f"\n{told[-1]}", flush=True)
     write_whole(args.out / "tables.md", ("\n\n".join(told) + "\n").encode())

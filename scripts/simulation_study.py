@@ -14,18 +14,15 @@ from textwrap import fill
 
 import numpy as np
 from _cli import Parser, destination, run
-from amusic_baselines import make_policy
+from _drives import drive
 from amusic_baselines.scores import standardised
 from numpy.typing import NDArray
 
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.banks.importers import from_recording
-from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.estimation.settings import STATISTICS
 from amusic_gym.evaluation import metrics
 from amusic_gym.evaluation.plots.drawing import GREY, INK, figure_at
-from amusic_gym.evaluation.rollout import rollout
-from amusic_gym.policies.protocol import Context
 from amusic_gym.routes.motion import MOTIONS
 from amusic_gym.routes.retime import NOISE, retimed_truth
 from amusic_gym.routes.simulate import POPULATION, Simulation
@@ -47,28 +44,23 @@ Rows = dict[str, dict[str, float]]  # "bank technique" -> its measures
 def recordings(paths: Sequence[Path]) -> list[ScoreBank]:
     """The given banks, and Corridor where there is one."""
     banks = [ScoreBank.load(path) for path in paths]
-    named = os.environ.get("AMUSIC_DATA")
-    if named:
+    if named := os.environ.get("AMUSIC_DATA"):
         banks.append(from_recording(Path(named) / "corridor"))
     if not banks:
         raise ValueError("no recording to compare with; give --bank or set AMUSIC_DATA")
     return banks
 
 
-def corrected(bank: ScoreBank, statistic: str) -> NDArray[np.int64]:
-    """Predictions of each technique (T, Q) when it alone runs, on all frames."""
-    alone = np.eye(len(bank.techniques), dtype=np.int8)  # a route each
-    env = TechniqueSelectionVectorEnv(len(alone), bank, statistic=statistic)
-    env.reset(seed=0)
-    infos = [env.step(alone)[-1] for _ in range(bank.queries)]
-    return np.stack([info["prediction"] for info in infos], axis=1)
+def alone(bank: ScoreBank, statistic: str) -> list[NDArray[np.int64]]:
+    """Predictions (Q,) of each technique when it alone runs, on all frames."""
+    return [drive(f"single:{name}", bank, statistic).predictions for name in bank.techniques]
 
 
 def measure(banks: Sequence[ScoreBank]) -> Rows:
     """The measures of each technique of each bank."""
     rows: Rows = {}
     for bank in banks:
-        places = {statistic: corrected(bank, statistic) for statistic in STATISTICS}
+        places = {statistic: alone(bank, statistic) for statistic in STATISTICS}
         for t, technique in enumerate(bank.techniques):
             given = {statistic: places[statistic][t] for statistic in STATISTICS}
             rows[f"{bank.name} {technique}"] = describe(bank, t, given)
@@ -105,10 +97,8 @@ def print_speeds(seeds: Sequence[int]) -> None:
     for i, seed in enumerate(seeds):
         bank = routes.route(np.random.default_rng(seed))
         for (w, (statistic, name)), (v, speed) in product(enumerate(ways), enumerate(SPEEDS)):
-            drive = driven(bank, speed, np.random.default_rng(seed))
-            policy = make_policy(name, Context.of(drive, statistic=statistic, seed=seed))
-            trace = rollout(policy, drive, name=name, statistic=statistic)
-            areas[w, v, i] = metrics.area(*metrics.curve(trace))
+            route = driven(bank, speed, np.random.default_rng(seed))
+            areas[w, v, i] = metrics.area(*metrics.curve(drive(name, route, statistic, seed)))
     print(f"| places per frame | {' | '.join(f'{speed:g}' for speed in SPEEDS)} |")
     print("|---" * (len(SPEEDS) + 1) + "|")
     for way, means in zip(ways, areas.mean(axis=2), strict=True):

@@ -11,9 +11,15 @@ import math
 from pathlib import Path
 
 from _cli import Parser, destination, run
+from amusic_agents.config import training_config
+from amusic_agents.evaluation import HeldOut
+from amusic_agents.run_folder import CONFIG, SELECTOR, read_config, stored_config, write_config
+from amusic_agents.selector import load_selector
 from amusic_agents.shipped import SHIPPED, shipped
 
+from amusic_gym.cli.train import learn
 from amusic_gym.estimation.settings import SICSettings
+from amusic_gym.utils.storage import write_whole
 
 ALGORITHM = {"evidence": "rollouts", "belief": "imitation+ppo"}
 """Statistic → how what ships for it was trained."""
@@ -28,8 +34,6 @@ IDLE_WEIGHTS = (0.02, 0.5)
 
 def is_same(out: Path, folder: Path) -> bool:
     """Whether a run's selector is the one in a folder, bit for bit."""
-    from amusic_agents.run_folder import SELECTOR
-
     there = folder / SELECTOR
     return there.is_file() and there.read_bytes() == (out / SELECTOR).read_bytes()
 
@@ -39,10 +43,6 @@ def ship(out: Path, folder: Path) -> None:
 
     A selector that does better on the held-out routes is not replaced: a ValueError.
     """
-    from amusic_agents.run_folder import SELECTOR, read_config, stored_config, write_config
-
-    from amusic_gym.utils.storage import write_whole
-
     if not is_same(out, folder):
         routes = stored_config(out).held_out
         ours, theirs = score(out, routes), -math.inf
@@ -67,9 +67,6 @@ def score(run: Path, routes: int) -> float:
         FileNotFoundError: if there is no selector.
         ValueError: if it was trained with another version, or is damaged.
     """
-    from amusic_agents.evaluation import HeldOut
-    from amusic_agents.selector import load_selector
-
     selector = load_selector(run)
     assert selector.needs.statistic is not None
     return HeldOut(routes, selector.needs.statistic).evaluate(selector, 0).score
@@ -88,11 +85,6 @@ def main(arguments: list[str] | None = None) -> None:
     add("--allow-idle", action="store_true", help="the one that may run nothing on a frame")
     add("--ship", action="store_true", help="put the selector into agents/amusic_agents/pretrained")
     given = parser.parse_args(arguments)
-
-    from amusic_agents.config import training_config
-    from amusic_agents.run_folder import CONFIG
-
-    from amusic_gym.cli.train import learn
 
     folder = shipped(given.statistic, allow_idle=given.allow_idle)
     config = training_config(

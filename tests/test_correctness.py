@@ -5,22 +5,15 @@ from __future__ import annotations
 import importlib
 import json
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
-from amusic_baselines import make_policy
 from env_cases import random_bank
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.envs.env import TechniqueSelectionEnv
-from amusic_gym.estimation.settings import STATISTICS
-from amusic_gym.evaluation.audit import Ranking, audit, held, ranking
+from amusic_gym.evaluation.audit import audit, held
 from amusic_gym.evaluation.correctness import MEASURES, assess, table
-from amusic_gym.evaluation.plots.drawing import figure_at
-from amusic_gym.evaluation.rollout import rollout
-from amusic_gym.policies.protocol import Context
 from amusic_gym.policies.trace import Trace
 from amusic_gym.routes.retime import retime
 
@@ -108,54 +101,38 @@ def test_audit_pools_the_frames_of_its_traces():
     assert coarse.calibration_error == pytest.approx((1.4 - 1) / 3)
 
 
-def test_ranking_is_none_where_all_are_alike():
-    assert ranking(np.array([True, False, True]), [3.0, 2.0, 1.0]) == Ranking(3, 1, 0.5)
-    assert ranking(np.array([True, True]), [3.0, 2.0]) == Ranking(2, 0, None)
+def two_timings() -> list:
+    """Drives of banks "a" and "b", numbers to work out by hand."""
 
-
-def two_timings(script) -> list:
-    """Drives of banks "a" and "b" with techniques A and B, numbers to work out by hand."""
-    drive = script("_random_activity").Drive
-
-    def made(bank, timing, correct, estimates, ran, right, statistic):
+    def made(correct, estimates):
         route = ScoreBank(
-            np.zeros((2, len(correct), 9)),
-            ["A", "B"],
-            [1.0, 2.0],
+            np.zeros((1, len(correct), 9)),
+            ["A"],
+            [1.0],
             tolerance=0,
             ground_truth=np.arange(len(correct)),
         )
-        told = Trace.join(
+        return Trace.join(
             route,
             predictions=[q if on else 8 for q, on in enumerate(correct)],
             confidence=np.zeros(len(correct)),
             similarity=np.zeros(len(correct)),
-            ran=np.array(ran, bool),
+            ran=np.ones((len(correct), 1), bool),
             p_correct=estimates,
             policy="random:0.6",
             statistic="evidence",
         )
-        return drive(bank, timing, told, np.array(right, bool), np.array(statistic, float))
 
-    off = -99.0  # of a technique that did not run
-    return [
-        [
-            made("a", "as recorded", [1, 0], [0.8, 0.4], [[1, 0], [1, 0]], [[1, 0], [0, 1]],
-                 [[2, off], [1, off]]),
-            made("a", "as recorded", [1, 0], [0.62, 0.68], [[1, 1], [0, 1]], [[0, 1], [1, 1]],
-                 [[3, 5], [off, 4]]),
-            made("a", "re-timed", [0, 0], [0.2, 0.1], [[1, 0], [1, 0]], [[0, 0], [0, 0]],
-                 [[2, off], [1, off]]),
-        ],
-        [
-            made("b", "as recorded", [1], [1.0], [[0, 1]], [[1, 1]], [[off, 1]]),
-            made("b", "re-timed", [1], [0.9], [[0, 1]], [[1, 0]], [[off, 1]]),
-        ],
-    ]  # fmt: skip
+    recorded, retimed = "as recorded", "re-timed"
+    a = {
+        recorded: [made([1, 0], [0.8, 0.4]), made([1, 0], [0.62, 0.68])],
+        retimed: [made([0, 0], [0.2, 0.1])],
+    }
+    return [("a", a), ("b", {recorded: [made([1], [1.0])], retimed: [made([1], [0.9])]})]
 
 
 def test_random_activity_per_bank_and_pooled(script):
-    report = script("_random_activity").held_against_truth(two_timings(script))
+    report = script("correctness").held_against_truth(two_timings())
     fused = {(row["bank"], row["timing"]): row for row in report["fused"]}
     assert list(fused) == [
         (bank, timing) for bank in ("a", "b", "pooled") for timing in ("as recorded", "re-timed")
@@ -180,7 +157,7 @@ def test_random_activity_per_bank_and_pooled(script):
 
 
 def test_being_sure_where_no_place_is_true_has_a_column_of_its_own(script):
-    module, truth = script("_random_activity"), np.eye(4, 9, dtype=bool)
+    module, truth = script("correctness"), np.eye(4, 9, dtype=bool)
     truth[2:] = False
     bank = ScoreBank(np.zeros((1, 4, 9)), ["A"], [1.0], tolerance=0, ground_truth=truth)
     trace = Trace.join(
@@ -193,95 +170,38 @@ def test_being_sure_where_no_place_is_true_has_a_column_of_its_own(script):
         policy="music",
         statistic="evidence",
     )
-    drive = module.Drive("a", "as recorded", trace, np.ones((4, 1), bool), np.zeros((4, 1)))
-    (row, _) = module.held_against_truth([[drive]])["fused"]
+    (row, _) = module.held_against_truth([("a", {"as recorded": [trace]})])["fused"]
     assert (row["right_of_sure"], row["sure_of_away"]) == (0.5, 0.5)
 
 
-def test_techniques_count_where_they_ran(script):
-    report = script("_random_activity").held_against_truth(two_timings(script))
-    assert [tuple(row.values()) for row in report["techniques"]] == [
-        ("a", "as recorded", "A", 3, 2, 0.5),  # right at 2, wrong at 1 and 3
-        ("a", "as recorded", "B", 2, 0, None),
-        ("a", "re-timed", "A", 2, 2, None),
-        ("b", "as recorded", "B", 1, 0, None),
-        ("b", "re-timed", "B", 1, 1, None),
-    ]
+def test_the_table_of_random_activity_is_markdown(script):
+    module = script("correctness")
+    table = module.table_of(module.held_against_truth(two_timings()))
+    lines = table.markdown().splitlines()
+    assert "| bank | drive | frames | right | mean p̂ | AUROC |" in lines[2]
+    assert lines[4] == "| a | as recorded | 4 | 0.500 | 0.625 | 0.750 | 0.225 | 0.202 | - | - |"
+    assert lines[5].startswith("| a | re-timed | 2 | 0.000 | 0.150 | - |")
+    assert lines[8].startswith("| pooled | as recorded | 5 |")
 
 
-def test_tables_of_random_activity_are_markdown(script):
-    module = script("_random_activity")
-    report = module.held_against_truth(two_timings(script))
-    fused, own = (table.markdown().splitlines() for table in module.tables(report))
-    assert "| bank | drive | frames | right | mean p̂ | AUROC |" in fused[2]
-    assert fused[4] == "| a | as recorded | 4 | 0.500 | 0.625 | 0.750 | 0.225 | 0.202 | - | - |"
-    assert fused[5].startswith("| a | re-timed | 2 | 0.000 | 0.150 | - |")
-    assert fused[8].startswith("| pooled | as recorded | 5 |")
-    assert own[4] == "| a | as recorded | A | 3 | 2 | 0.500 |"
-    assert len(own) == 4 + len(report["techniques"])
-
-
-def test_random_drives_are_rollouts_as_recorded_and_re_timed(script):
-    module, bank = script("_random_activity"), random_bank(3, queries=30)
-    drives = list(module.random_drives(bank, "evidence", 4))
-    assert [drive.timing for drive in drives] == ["as recorded"] * 4 + ["re-timed"] * 4
-    assert {drive.bank for drive in drives} == {bank.name}
-    rates = {float(drive.trace.policy.partition(":")[2]) for drive in drives}
+def test_random_drives_are_as_recorded_and_re_timed_with_the_same_activity(script):
+    module, bank = script("correctness"), random_bank(3, queries=30)
+    groups = module.random_drives(bank, "evidence", 4)
+    assert {timing: len(traces) for timing, traces in groups.items()} == {
+        "as recorded": 4,
+        "re-timed": 4,
+    }
+    recorded, retimed = groups.values()
+    rates = {float(trace.policy.partition(":")[2]) for trace in recorded}
     assert rates <= set(module.RATES)
     assert len(rates) > 1
-    for i, drive in enumerate(drives):
-        seed, route = i % 4, bank if i < 4 else retime(bank, i % 4)
-        name = drive.trace.policy
-        policy = make_policy(name, Context.of(route, statistic="evidence", seed=seed))
-        expected = rollout(policy, route, name=name, statistic="evidence")
-        for field in ("predictions", "confidence", "p_correct", "ran", "correct"):
-            assert np.array_equal(getattr(drive.trace, field), getattr(expected, field)), field
-        assert drive.trace.ran.any(axis=1).all()
-        assert np.array_equal(drive.trace.ran, drives[seed].trace.ran)
-    (only,) = module.random_drives(bank, "evidence", 0)
-    assert np.array_equal(only.trace.predictions, drives[0].trace.predictions)
-
-
-@pytest.mark.parametrize("statistic", STATISTICS)
-def test_own_places_and_statistics_are_those_of_the_environment(script, statistic):
-    bank = random_bank(3, queries=30)
-    for drive in script("_random_activity").random_drives(bank, statistic, 1):
-        route = bank if drive.timing == "as recorded" else retime(bank, 0)
-        assert np.array_equal(drive.trace.correct, route.truth.correct(drive.trace.predictions))
-        env = TechniqueSelectionEnv(route, statistic=statistic)
-        env.reset(options={"start": 0})
-        matrix, right, wrong = route.truth.matrix(), 0, 0
-        for q, ran in enumerate(drive.trace.ran):
-            info = env.step(ran.astype(np.int8))[-1]
-            for t in np.flatnonzero(ran):
-                assert drive.right[q, t] == matrix[q, info["place"][t]]
-                assert drive.statistic[q, t] == info["statistic"][t]
-                right, wrong = right + drive.right[q, t], wrong + (not drive.right[q, t])
-        assert right > 0
-        assert wrong > 0
-
-
-def test_the_figure_shows_every_bin_that_has_frames(script, monkeypatch, tmp_path):
-    module, shown = script("correctness"), []
-
-    @contextmanager
-    def keeping(*given):
-        with figure_at(*given) as figure:
-            yield figure
-            shown.append(figure)
-
-    monkeypatch.setattr(module, "figure_at", keeping)
-    curves = {
-        "as recorded": {"predicted": [None, 0.6], "observed": [None, 0.5], "counts": [0, 40]},
-        "re-timed": {"predicted": [0.1, 0.9], "observed": [0.2, 0.7], "counts": [10, 300]},
-    }
-    path = module.draw_reliability(curves, "title", tmp_path / "figure.png")
-    assert path.read_bytes().startswith(b"\x89PNG")
-    upper, lower = shown[0].axes
-    lines = [[line.get_xdata().tolist(), line.get_ydata().tolist()] for line in upper.lines]
-    assert lines[1:5] == [[[0.6], [0.5]], [[], []], [[0.1, 0.9], [0.2, 0.7]], [[0.1], [0.2]]]
-    assert [bar.get_height() for bar in lower.patches] == [0, 40, 10, 300]
-    assert [text.get_text() for text in lower.texts] == ["", "40", "10", "300"]
+    for seed, (one, other) in enumerate(zip(recorded, retimed, strict=True)):
+        for trace, route in ((one, bank), (other, retime(bank, seed))):
+            assert np.array_equal(trace.correct, route.truth.correct(trace.predictions))
+            assert trace.ran.any(axis=1).all()
+        assert np.array_equal(one.ran, other.ran)
+    ((only,),) = module.random_drives(bank, "evidence", 0).values()
+    assert np.array_equal(only.predictions, recorded[0].predictions)
 
 
 def test_the_script_writes_tables_numbers_and_figures(script, monkeypatch, tmp_path, capsys):

@@ -121,7 +121,7 @@ def test_every_figure_is_a_whole_png_and_nothing_global_changes(tmp_path: Path) 
         plots.front(some_rows(), tmp_path / "front.png"),
         plots.selections(traces, tmp_path / "selections.png"),
         plots.shares([made_up("music"), made_up("music", bank="c")], tmp_path / "shares.png"),
-        plots.reliability(traces, tmp_path / "reliability.png"),
+        plots.reliability({"all": traces}, tmp_path / "reliability.png"),
     ]
     for path in paths:
         assert min(png_size(path)) > 200
@@ -313,8 +313,37 @@ def test_nothing_right_and_nothing_estimated(tmp_path: Path) -> None:
     plots.precision_recall([hopeless], tmp_path / "pr.png")
     plots.selections([hopeless], tmp_path / "s.png")
     with pytest.raises(ValueError, match="give traces with p_correct"):
-        plots.reliability([hopeless], tmp_path / "r.png")
+        plots.reliability({"a": [trace], "b": [hopeless]}, tmp_path / "r.png")
     assert not (tmp_path / "r.png").exists()
+
+
+def test_reliability_shows_every_bin_that_has_frames(tmp_path: Path, drawn: list[Figure]) -> None:
+    def told(p_correct: list[float], right: list[int]) -> Trace:
+        estimates, correct = np.full(60, np.nan), np.zeros(60, bool)
+        estimates[: len(right)], correct[: len(right)] = p_correct, right
+        return Trace(**{**vars(made_up("music")), "correct": correct, "p_correct": estimates})
+
+    groups = {
+        "as recorded": [told([0.6] * 40, [1, 0] * 20)],
+        "re-timed": [
+            told([0.25] * 4, [1, 0, 0, 0]),
+            told([0.25] * 4 + [0.75] * 36, [0] * 4 + [1] * 36),
+        ],
+    }
+    plots.reliability(groups, tmp_path / "r.png", bins=2)
+    upper, lower = drawn[0].axes
+    lines = [[line.get_xdata().tolist(), line.get_ydata().tolist()] for line in upper.lines]
+    assert lines[1][0] == [pytest.approx(0.6)]
+    assert [lines[1][1], *lines[2:5]] == [
+        [0.5],
+        [[], []],
+        [[0.25, 0.75], [0.125, 1.0]],
+        [[0.25], [0.125]],
+    ]
+    assert [bar.get_height() for bar in lower.patches] == [0, 40, 8, 36]
+    assert [text.get_text() for text in lower.texts] == ["", "40", "8", "36"]
+    quality = "AUROC 0.986  ·  Brier 0.074  ·  calibration error 0.227  ·  44 frames"
+    assert f"re-timed: {quality}" in texts(drawn[0])
 
 
 @pytest.mark.parametrize("draw", [plots.precision_recall, plots.selections])

@@ -1,11 +1,12 @@
 """What a run of a technique costs: checked seconds, and the models to reckon with."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.banks.scores import read_only
+from amusic_gym.utils.names import suggest
 
 COST_MODELS = ("measured", "paper", "runs")
 """``measured``: the bank's seconds; ``paper``: the paper's averages; ``runs``: 1 for each run."""
@@ -35,6 +36,15 @@ def check_seconds(seconds: ArrayLike, techniques: Sequence[str]) -> NDArray[np.f
                 f"{SHORTEST:g} to {LONGEST:g}"
             )
     return read_only(array)
+
+
+def declared_seconds(seconds: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
+    """Seconds that a user gives for techniques, by name; refuses what is unknown or not above 0."""
+    for name in seconds:
+        if name not in names:
+            raise ValueError("seconds: " + suggest("technique", name, names))
+    checked = check_seconds(list(seconds.values()), list(seconds))
+    return dict(zip(seconds, checked.tolist(), strict=True))
 
 
 def paper_seconds(techniques: Sequence[str]) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.banks.costs import check_seconds
+from amusic_gym.banks.costs import declared_seconds
 from amusic_gym.banks.descriptors import DescriptorPair
 from amusic_gym.banks.ground_truth import GroundTruth, resolve_ground_truth
 from amusic_gym.banks.loop_closure import rows_without_recent, truth_without_recent
@@ -66,7 +66,7 @@ def from_arrays(
     truth, places = resolve_ground_truth(ground_truth, tolerance, queries, references)
     if exclude_recent is not None:
         truth = truth_without_recent(truth, exclude_recent)
-    costs = check_seconds(_seconds_in_order(names, seconds), names)
+    costs = _seconds_in_order(names, seconds)
     source = "arrays: " + ", ".join(path.name for path in paths)
     rows: Iterator[NDArray[np.float32]] = (
         block
@@ -117,7 +117,7 @@ def from_descriptors(
     truth, places = resolve_ground_truth(ground_truth, tolerance, queries, references)
     if exclude_recent is not None:
         truth = truth_without_recent(truth, exclude_recent)
-    costs = check_seconds(_seconds_in_order(names, seconds), names)
+    costs = _seconds_in_order(names, seconds)
     files = dict.fromkeys(Path(each.source).name for pair in pairs for each in pair.sides)
     rows: Iterator[NDArray[np.float32]] = (
         block for pair in pairs for block in pair.score_rows(advance)
@@ -294,13 +294,11 @@ def _check_same_shape(names: Sequence[str], matrices: Sequence[NDArray[Any] | _M
 
 
 def _seconds_in_order(names: Sequence[str], seconds: Mapping[str, float]) -> list[float]:
-    for name in seconds:
-        if name not in names:
-            raise ValueError("seconds: " + suggest("technique", name, names))
+    declared = declared_seconds(seconds, names)
     for name in names:
-        if name not in seconds:
+        if name not in declared:
             raise ValueError(f"no seconds for technique {name!r}; give the seconds of one run")
-    return [seconds[name] for name in names]
+    return [declared[name] for name in names]
 
 
 def _matches_folder(directory: Path) -> Path:

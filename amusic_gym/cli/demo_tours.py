@@ -68,14 +68,15 @@ def make_tours(out: Path, first: int, say: Callable[[str], None]) -> list[Tour]:
     ]
     with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as pool:
         parts = []
-        for part in pool.map(partial(_render, PLACES), *zip(*jobs, strict=True)):
+        for part in pool.map(partial(render_world, PLACES), *zip(*jobs, strict=True)):
             say(f"rendered {part[0].parent.relative_to(out)}: the map, and a drive")
             parts.append(part)
     count = len(WORLDS)
     return [make_tour(parts[at * count :][:count], seed=seed) for at, seed in enumerate(seeds)]
 
 
-def _render(places: int, folder: Path, world: DemoWorld, seed: int) -> tuple[Path, Path]:
+def render_world(places: int, folder: Path, world: DemoWorld, seed: int) -> tuple[Path, Path]:
+    """Folders of the images of a map and of a drive, rendered unless they are there."""
     cv2.setNumThreads(1)
     render_folders(folder, [world.condition], seed=seed, places=places, kind=world.kind)
     return folder / "reference", folder / world.condition

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from amusic_gym.evaluation import metrics
 from amusic_gym.policies.trace import Trace
@@ -30,14 +30,6 @@ class Audit(NamedTuple):
         return self.p_correct - self.accuracy
 
 
-class Ranking(NamedTuple):
-    """How a technique's own statistic tells its right places from its wrong ones; plain numbers."""
-
-    frames: int  # on which it ran
-    wrong: int  # of these
-    auroc: float | None  # of its statistic; None where all are right or all wrong
-
-
 def held(*traces: Trace) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
     """Correctness and p̂, both (n,), of the frames that have p̂, of all traces in their order."""
     correct = np.concatenate([trace.correct for trace in traces])
@@ -51,22 +43,13 @@ def audit(*traces: Trace, bins: int = metrics.CALIBRATION_BINS) -> Audit | None:
     correct, estimate = held(*traces)
     if not correct.size:
         return None
+    ranked = metrics.auroc(correct, estimate)
     return Audit(
         p_correct=float(estimate.mean()),
         accuracy=float(correct.mean()),
-        auroc=_auroc(correct, estimate),
+        auroc=None if np.isnan(ranked) else ranked,
         calibration_error=metrics.calibration_error(correct, estimate, bins),
     )
-
-
-def ranking(correct: NDArray[np.bool_], statistic: ArrayLike) -> Ranking:
-    """Hold a technique's own statistic against whether its own place is right, both (n,), n ≥ 1."""
-    return Ranking(correct.size, int((~correct).sum()), _auroc(correct, statistic))
-
-
-def _auroc(correct: ArrayLike, score: ArrayLike) -> float | None:
-    ranked = metrics.auroc(correct, score)
-    return None if np.isnan(ranked) else ranked
 
 
 def parting(

@@ -68,10 +68,8 @@ class _Entry:
             self.contestant.make(self.context),
             self.context.bank,
             name=self.contestant.name,
-            statistic=self.context.statistic,
-            carry=self.context.carry,
-            discount=self.context.discount,
             compute_weight=self.compute_weight,
+            **self.own._asdict(),
         )
 
 

@@ -55,9 +55,8 @@ def rollout(
         discount: whether MuSIC discounts alike rows; as `carry`.
         compute_weight: λ; None for policies that have none.
     """
-    jobs = [Job(bank, compute_weight)]
-    options = {"statistic": statistic, "carry": carry, "discount": discount}
-    return rollouts(policy, jobs, name=name, **options)[0]  # type: ignore[arg-type]
+    how = Correction.under(policy, statistic, carry, discount)
+    return _run(policy, [Job(bank, compute_weight)], name, how)[0]
 
 
 def rollouts(
@@ -75,7 +74,10 @@ def rollouts(
         ValueError: if a selector was made for another statistic, a score is not finite, or the
             length or ground truth of a live route is not known.
     """
-    how = Correction.under(policy, statistic, carry, discount)
+    return _run(policy, jobs, name, Correction.under(policy, statistic, carry, discount))
+
+
+def _run(policy: Policy, jobs: Sequence[Job], name: str, how: Correction) -> list[Trace]:
     if isinstance(policy, Selector) and not any(isinstance(j.bank, LiveRoute) for j in jobs):
         return _select(policy, jobs, name, how)
     return [_one(policy, job, name, how) for job in jobs]

@@ -10,6 +10,7 @@ import hashlib
 import os
 import tempfile
 import warnings
+from contextlib import AbstractContextManager, nullcontext
 from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO
@@ -169,6 +170,11 @@ class Cache(Closing):
             warnings.warn(
                 f"{damaged} entries of the cache {self.folder} were damaged", stacklevel=2
             )
+
+
+def opened(cache: str | os.PathLike[str] | Cache | None) -> AbstractContextManager[Cache]:
+    """A cache's folder, or the default one, for a ``with`` block; one that is open stays open."""
+    return nullcontext(cache) if isinstance(cache, Cache) else Cache(cache)
 
 
 def _prepare(folder: Path) -> None:

@@ -1,14 +1,13 @@
 """Descriptors of techniques that run here, for others: hloc's file of features, and its pairs."""
 
 import os
-from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 
 from amusic_gym.banks.descriptors import H5_KEY, DescriptorPair, from_h5
 from amusic_gym.banks.ranking import TOP, highest
-from amusic_gym.extraction.cache import Cache
+from amusic_gym.extraction.cache import Cache, opened
 from amusic_gym.extraction.code import describes_queries_alike
 from amusic_gym.extraction.describe import ExtractionPlan, describe, images_of
 from amusic_gym.extraction.executors import make_executor
@@ -68,19 +67,20 @@ def save_descriptors(
     names = [[os.path.relpath(path, root) for path in each.paths] for each in images]
     plan = ExtractionPlan(technique, images[0], images[-1])
     features = Path(out) / f"{technique.name}.h5"
-    with ExitStack() as stack:
-        store = cache if isinstance(cache, Cache) else stack.enter_context(Cache(cache))
-        where = stack.enter_context(make_executor(executor))
-        workers = stack.enter_context(where.workers(technique))
-        temporary = stack.enter_context(replacing_file(features))  # which is locked by that
-        with h5py.File(temporary, "w", locking=False) as file:
-            for side, each in enumerate(images):
-                blocks = describe(plan, store, workers, Progress(progress), query=side == 1)
-                rows = (row for block in blocks for row in block.array())
-                for label, path, row in zip(names[side], each.paths, rows, strict=True):
-                    group = file.create_group(label)
-                    group[H5_KEY] = row.ravel()
-                    group["image_size"] = np.array(measure(read_bytes(path)))
+    with (
+        opened(cache) as store,
+        make_executor(executor) as where,
+        where.workers(technique) as workers,
+        replacing_file(features) as temporary,  # which is locked by that
+        h5py.File(temporary, "w", locking=False) as file,
+    ):
+        for side, each in enumerate(images):
+            blocks = describe(plan, store, workers, Progress(progress), query=side == 1)
+            rows = (row for block in blocks for row in block.array())
+            for label, path, row in zip(names[side], each.paths, rows, strict=True):
+                group = file.create_group(label)
+                group[H5_KEY] = row.ravel()
+                group["image_size"] = np.array(measure(read_bytes(path)))
     found = from_h5(features)
     at = {label: row for row, label in enumerate(found.names or ())}
     places, frames = (found.take([at[label] for label in names[side]]) for side in (0, -1))

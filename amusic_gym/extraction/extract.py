@@ -13,29 +13,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from amusic_gym.banks import bank_files
 from amusic_gym.banks.bank import ScoreBank
-from amusic_gym.banks.costs import check_seconds
+from amusic_gym.banks.costs import declared_seconds
 from amusic_gym.banks.descriptors import DescriptorPair
 from amusic_gym.banks.ground_truth import GroundTruth, resolve_ground_truth
 from amusic_gym.banks.loop_closure import rows_without_recent, truth_without_recent
 from amusic_gym.banks.scores import check_names
-from amusic_gym.extraction.cache import Cache
+from amusic_gym.extraction.cache import Cache, opened
 from amusic_gym.extraction.describe import ExtractionPlan, images_of, match, score_rows
 from amusic_gym.extraction.executors import make_executor
 from amusic_gym.extraction.progress import Progress
 from amusic_gym.extraction.seconds import known_cost
 from amusic_gym.extraction.shards import Executor
 from amusic_gym.routes.bank_images import BankImages
-from amusic_gym.routes.folders import ImageFolder, check_apart
+from amusic_gym.routes.folders import Folder, check_apart, folder_of
 from amusic_gym.routes.image_truth import by_index
 from amusic_gym.techniques import Technique, make_technique
-from amusic_gym.utils.names import suggest
-
-_Folder = ImageFolder | str | os.PathLike[str]
 
 
 def extract(
-    reference: _Folder,
-    query: _Folder,
+    reference: Folder,
+    query: Folder,
     techniques: Sequence[Technique | str] | Technique | str,
     *,
     tolerance: int | None = None,
@@ -104,9 +101,7 @@ def extract(
             )
     if out is not None:
         _check_writable(Path(out))
-    map_folder, run_folder = (
-        each if isinstance(each, ImageFolder) else ImageFolder(each) for each in (reference, query)
-    )
+    map_folder, run_folder = folder_of(reference), folder_of(query)
     check_apart(map_folder, run_folder)
     if ground_truth is None and tolerance is not None:
         ground_truth = by_index(map_folder, run_folder, tolerance, exact=True)
@@ -119,7 +114,7 @@ def extract(
     plans = [ExtractionPlan(technique, references, queries) for technique in made]
     say = Progress(progress)
     with ExitStack() as stack:
-        store = cache if isinstance(cache, Cache) else stack.enter_context(Cache(cache))
+        store = stack.enter_context(opened(cache))
         stack.enter_context(where)
         costs = [
             _run(plan, store, where, say, declared.get(plan.technique.name), measure_again)
@@ -185,12 +180,3 @@ def _check_writable(out: Path) -> None:
             error.errno,
             f"the bank {out} cannot be written, nothing can be in {parent} ({error.strerror})",
         ) from error
-
-
-def declared_seconds(seconds: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
-    """Seconds that a user gives for techniques, by name; refuses what is unknown or not above 0."""
-    for name in seconds:
-        if name not in names:
-            raise ValueError("seconds: " + suggest("technique", name, names))
-    checked = check_seconds(list(seconds.values()), list(seconds))
-    return dict(zip(seconds, checked.tolist(), strict=True))

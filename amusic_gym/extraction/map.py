@@ -5,18 +5,17 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.extraction.blocks import Images, Stored, aligned, describe_one, match_one
-from amusic_gym.extraction.cache import Cache
+from amusic_gym.extraction.cache import Cache, opened
 from amusic_gym.extraction.describe import ExtractionPlan, describe, images_of
 from amusic_gym.extraction.executors import make_executor
 from amusic_gym.extraction.progress import Progress
-from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.routes.folders import Folder, folder_of
 from amusic_gym.techniques import Descriptor, Image, Technique, make_technique
 from amusic_gym.utils.threads import limit_this_thread, one_thread
 
@@ -112,7 +111,7 @@ class DescribedMap:
 
 
 def describe_map(
-    folder: ImageFolder | str | os.PathLike[str],
+    folder: Folder,
     technique: Technique | str,
     *,
     cache: str | os.PathLike[str] | Cache | None = None,
@@ -138,16 +137,14 @@ def describe_map(
         ValueError: for one that cannot be read or described.
     """
     technique = make_technique(technique) if isinstance(technique, str) else technique
-    folder = folder if isinstance(folder, ImageFolder) else ImageFolder(folder)
-    with ExitStack() as stack:
-        if not isinstance(cache, Cache):
-            cache = stack.enter_context(Cache(cache))
-        plan = ExtractionPlan(technique, images_of(folder), Images((), ()))
+    places = folder_of(folder)
+    with opened(cache) as store:
+        plan = ExtractionPlan(technique, images_of(places), Images((), ()))
         with make_executor(executor) as where, where.workers(technique) as workers:
             blocks: Sequence[Stored] = describe(
-                plan, cache, workers, Progress(progress), query=False
+                plan, store, workers, Progress(progress), query=False
             )
-        if not (in_memory or cache.is_temporary):
+        if not (in_memory or store.is_temporary):
             return DescribedMap(technique, blocks, threads=threads)
         held = [np.array(block.array()) for block in blocks]
         return DescribedMap(technique, held, threads=threads)

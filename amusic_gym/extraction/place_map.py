@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,20 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from amusic_gym.banks.costs import declared_seconds
 from amusic_gym.banks.scores import check_names
 from amusic_gym.extraction import map_files
 from amusic_gym.extraction.blocks import Stored, aligned
-from amusic_gym.extraction.cache import Cache
+from amusic_gym.extraction.cache import Cache, opened
 from amusic_gym.extraction.code import identity
 from amusic_gym.extraction.describe import ExtractionPlan, describe, images_of
 from amusic_gym.extraction.executors import make_executor
-from amusic_gym.extraction.extract import declared_seconds
 from amusic_gym.extraction.map import DescribedMap
 from amusic_gym.extraction.map_files import DescribedBy, MapContents
 from amusic_gym.extraction.progress import Progress
 from amusic_gym.extraction.seconds import known_cost, measure_cost
 from amusic_gym.extraction.thumbnails import Thumbnails
-from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.routes.folders import Folder, ImageFolder, folder_of
 from amusic_gym.routes.positions import Positions
 from amusic_gym.techniques import Image, Technique, make_technique
 from amusic_gym.utils import storage
@@ -134,7 +133,7 @@ class PlaceMap:
 
 
 def build_map(
-    images: ImageFolder | str | os.PathLike[str],
+    images: Folder,
     techniques: Sequence[str | Technique],
     out: str | os.PathLike[str],
     *,
@@ -167,7 +166,7 @@ def build_map(
     """
     given = {key: Path(value).absolute() for key, value in (weights or {}).items()}
     made = [_made(each, given) for each in techniques]
-    folder = images if isinstance(images, ImageFolder) else ImageFolder(images)
+    folder = folder_of(images)
     if positions is not None and len(positions) != len(folder):
         raise ValueError(f"{len(positions)} positions for {len(folder)} images; give one for each")
     if not 0 < len(made) <= map_files.MOST_TECHNIQUES:
@@ -197,7 +196,7 @@ def build_map(
 
 def append_to_map(
     path: str | os.PathLike[str],
-    images: ImageFolder | str | os.PathLike[str],
+    images: Folder,
     *,
     weights: Mapping[str, str | Path] | None = None,
     positions: Positions | None = None,
@@ -213,7 +212,7 @@ def append_to_map(
     path = Path(path)
     there = map_files.read(path, verify=True)  # else new checksums would vouch for damage
     made = _techniques(path, there.techniques, (), weights or {})
-    folder = images if isinstance(images, ImageFolder) else ImageFolder(images)
+    folder = folder_of(images)
     if (there.positions is None) != (positions is None):
         raise ValueError(
             f"{path} has {'no ' if there.positions is None else ''}positions; add images"
@@ -266,9 +265,7 @@ class _Described:
     ) -> _Described:
         images, say = images_of(folder), Progress(progress)
         blocks, costs = [], []
-        with ExitStack() as stack:
-            store = cache if isinstance(cache, Cache) else stack.enter_context(Cache(cache))
-            where = stack.enter_context(make_executor(executor))
+        with opened(cache) as store, make_executor(executor) as where:
             for one in techniques:
                 plan = ExtractionPlan(one, images, images)
                 with where.workers(one) as workers:

@@ -203,6 +203,14 @@ class ImageFolder:
         return map(self.__getitem__, range(len(self)))
 
 
+Folder = ImageFolder | str | os.PathLike[str]
+
+
+def folder_of(given: Folder) -> ImageFolder:
+    """An image folder, of itself or of its path."""
+    return given if isinstance(given, ImageFolder) else ImageFolder(given)
+
+
 def check_apart(reference: object, query: object) -> None:
     """Refuse a map that holds the folder of its own run, or the other way round.
 

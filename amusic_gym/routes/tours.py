@@ -19,7 +19,7 @@ import numpy as np
 
 from amusic_gym.banks.ground_truth import GroundTruth
 from amusic_gym.routes.conditions import CONDITIONS, Change, Condition
-from amusic_gym.routes.folders import ImageFolder
+from amusic_gym.routes.folders import Folder, ImageFolder, folder_of
 from amusic_gym.routes.image_truth import by_index
 from amusic_gym.routes.route_model import no_repeats
 from amusic_gym.utils import storage
@@ -28,7 +28,6 @@ from amusic_gym.utils.checks import whole
 SHORTEST, LONGEST = 40, 80  # frames of a spell; the last one ends with the tour and may be shorter
 SPELLS = "segments.json"  # file of the spells in a folder of `write_tour`
 REFERENCE, QUERY = "reference", "query"  # folders of the images in a folder of `write_tour`
-Folder = ImageFolder | str | os.PathLike[str]
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ def make_tour(
     chosen = _conditions(conditions)
     if not parts:
         raise ValueError("a tour has no part; give at least one reference and query")
-    folders = [tuple(map(_folder, part)) for part in parts]
+    folders = [tuple(map(folder_of, part)) for part in parts]
     for number, (reference, query) in enumerate(folders, 1):
         if len(reference) != len(query):
             raise ValueError(
@@ -166,10 +165,6 @@ def write_tour(
 
 
 _WRITTEN = frozenset((REFERENCE, QUERY, SPELLS))
-
-
-def _folder(given: Folder) -> ImageFolder:
-    return given if isinstance(given, ImageFolder) else ImageFolder(given)
 
 
 def _conditions(given: Sequence[Condition | str]) -> list[Condition]:

@@ -16,7 +16,6 @@ from amusic_gym.techniques.caffemodel import read_caffemodel
 from amusic_gym.techniques.matfile import TooLargeError, read_matfile
 
 Arrays: TypeAlias = dict[str, NDArray[Any]]
-Reader: TypeAlias = Callable[[bytes], tuple[Arrays, dict[str, str]]]
 MOST_BYTES = 2 << 30  # of a file, and of its contents; NetVLAD's public files have 0.6 GB
 FLOOR_POOLING = "floor_pooling"  # metadata of a network (ONNX) whose pooling rounds sizes down
 

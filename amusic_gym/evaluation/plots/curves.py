@@ -1,6 +1,6 @@
 """Precision-recall curves, and how far estimated correctness can be believed."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +10,22 @@ from numpy.typing import NDArray
 from amusic_gym.evaluation import metrics
 from amusic_gym.evaluation.audit import held
 from amusic_gym.evaluation.plots import labels
-from amusic_gym.evaluation.plots.drawing import GREY, INK, figure_at, only, percent
+from amusic_gym.evaluation.plots.drawing import GREY, figure_at, only
 from amusic_gym.policies.registry import parse
 from amusic_gym.policies.trace import Trace
-from amusic_gym.utils.colours import CORRECT_COLOUR, WRONG_COLOUR, technique_colours, tint
+from amusic_gym.utils.colours import technique_colours, tint
 
 GOOD, FIRST_RECALL = 0.5, 0.1
 """AUC of the curves that the axis is fitted to, and the recall from which on."""
 
 SHADES: tuple[Any, ...] = ((0, (1.2, 1.2)), (0, (5, 1.5)), "-")
 """Lines of a selector's least, middle and greatest compute weights."""
+
+BELIEVED, MARKS = ("#0072B2", "#D55E00"), ("o", "s")
+"""Colour and mark of the curves of a figure of reliability."""
+
+LEAST = 0.7  # frames at which its bars begin, on a logarithmic scale
+FEW = 30  # bins of fewer frames are hollow: their share says little
 
 
 def precision_recall(traces: Sequence[Trace], path: str | Path) -> Path:
@@ -71,53 +77,50 @@ def precision_recall(traces: Sequence[Trace], path: str | Path) -> Path:
 
 
 def reliability(
-    traces: Sequence[Trace], path: str | Path, *, bins: int = metrics.CALIBRATION_BINS
+    groups: Mapping[str, Sequence[Trace]],
+    path: str | Path,
+    *,
+    title: str = "Estimated correctness against the truth",
+    bins: int = metrics.CALIBRATION_BINS,
 ) -> Path:
-    """Observed against SIC-estimated correctness, pooled over traces, above a histogram.
+    """Share of right frames against mean p̂, pooled over each group of traces, above a histogram.
 
-    Bars are 95 % Wilson intervals; frames without an estimate are left out, and it is a ValueError
-    where none has one.
+    ``groups``, two at most: name → traces. Frames without an estimate are left out, and it is a
+    ValueError where a group has none. No intervals: frames of one drive are not independent.
     """
-    from scipy.stats import binomtest
-
-    correct, estimate = held(*traces) if traces else (np.zeros(0, bool), np.zeros(0))
-    if not estimate.size:
-        raise ValueError("no trace holds an estimate of correctness; give traces with p_correct")
-    table = metrics.reliability(correct, estimate, bins)
-    filled = table.counts > 0
-    predicted, observed, counts = (part[filled] for part in table)
-    hits = np.rint(observed * counts).astype(int)
-    ends = [
-        binomtest(int(k), int(n)).proportion_ci(method="wilson")
-        for k, n in zip(hits, counts, strict=True)
-    ]
-    with figure_at(path, 5.6, 6.2) as figure:
-        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
+    with figure_at(path, 6.4, 7.0) as figure:
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.4, 1])
         upper.plot([0, 1], [0, 1], color=GREY, linestyle="--", linewidth=1, label="perfect")
-        low, high = zip(*ends, strict=True)
-        upper.vlines(predicted, low, high, color="#0072B2", linewidth=1.2, alpha=0.6)
-        upper.plot(predicted, observed, "o-", color="#0072B2", label="observed")
-        upper.set(ylabel="Share of frames that are correct", ylim=(-0.02, 1.02), xlim=(-0.02, 1.02))
-        upper.set_title("SIC-estimated correctness against the truth", pad=20)
-        quality = _quality(correct, estimate, bins)
-        upper.text(0, 1.02, quality, transform=upper.transAxes, va="bottom", color=INK)
-        upper.legend(loc="lower right")
-        outcomes = [estimate[correct], estimate[~correct]]
-        weights = [np.full(part.size, 1.0 / estimate.size) for part in outcomes]
-        colours = [CORRECT_COLOUR, WRONG_COLOUR]
-        edges = np.linspace(0, 1, bins + 1)
-        lower.hist(
-            outcomes,
-            edges.tolist(),
-            weights=weights,
-            stacked=True,
-            color=colours,
-            label=["correct", "wrong"],
-        )
-        lower.yaxis.set_major_formatter(percent)
-        lower.set(xlabel="Estimated correctness p̂", ylabel="Frames")
-        lower.legend(loc="upper center")
+        most = 10
+        for i, (name, traces) in enumerate(groups.items()):
+            correct, estimate = held(*traces)
+            if not estimate.size:
+                raise ValueError(
+                    "no trace holds an estimate of correctness; give traces with p_correct"
+                )
+            predicted, observed, counts = metrics.reliability(correct, estimate, bins)
+            look: dict[str, Any] = {"color": BELIEVED[i], "marker": MARKS[i]}
+            for shown, more in (
+                (counts > 0, {"label": f"{name}: {_quality(correct, estimate, bins)}"}),
+                ((counts > 0) & (counts < FEW), {"linestyle": "none", "markerfacecolor": "white"}),
+            ):
+                upper.plot(predicted[shown], observed[shown], **look, **more)
+            width = 0.8 / bins / len(groups)
+            aside = (i - (len(groups) - 1) / 2.0) * width
+            middles = (np.arange(bins) + 0.5) / bins
+            bars = lower.bar(middles + aside, counts, width, color=BELIEVED[i])
+            words = [str(count or "") for count in counts]
+            lower.bar_label(bars, words, padding=2, rotation=90, fontsize=7.5)
+            most = max(most, counts.max())
+        upper.plot([], [], "o", color=GREY, markerfacecolor="white", label=f"under {FEW} frames")
+        upper.set(ylabel="Share of frames that are right", xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
+        upper.set_title(title)
         upper.grid()
+        lower.set_yscale("log")
+        lower.set_ylim(LEAST, most * (most / LEAST) ** 0.4)  # room for the numbers over the bars
+        lower.yaxis.set_major_formatter("{x:g}")
+        lower.set(xlabel="Estimated correctness p̂", ylabel="Frames in the bin")
+        figure.legend(loc="outside lower left", fontsize=8)
     return Path(path)
 
 
