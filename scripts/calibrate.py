@@ -27,7 +27,7 @@ from amusic_gym.estimation.calibration import (
     stored,
 )
 from amusic_gym.estimation.settings import STATISTICS
-from amusic_gym.routes.simulate import population
+from amusic_gym.routes.simulate import POPULATION, TOURS
 from amusic_gym.utils.storage import write_whole
 
 RATES = (0.05, 0.1, 0.3, 0.6, 1.0)  # shares of the techniques that run on a frame
@@ -133,7 +133,7 @@ def main(arguments: list[str] | None = None) -> None:
     table["coefficients"] |= stored()["coefficients"]
     for statistic in given.statistic:
         seeds = [[given.seed, i] for i in range(given.routes)]
-        routes = replace(population(statistic), leaves=LEAVES)
+        routes = replace(POPULATION if statistic == "belief" else TOURS, leaves=LEAVES)
         banks = [routes.route(np.random.default_rng(seed)) for seed in seeds]
         table["coefficients"][statistic] = calibrate(banks, statistic, given.seed)
         print(statistic, table["coefficients"][statistic])

@@ -1,10 +1,8 @@
 """Train a selector that ships, from its seed, and say whether it came out as it ships.
 
-For ``evidence`` by policy iteration with rollouts. For ``belief`` a cascade is chosen for every
-part of the range of λ, imitated, and the imitation goes on learning with PPO. All of it on
-simulated routes, by their ground truth. The run folder is ``--out``; ``--ship`` puts its selector
-into its folder in ``agents/amusic_agents/pretrained``, unless the one that is there does better. A
-run that was stopped goes on where it was.
+By policy iteration with rollouts, on simulated routes and by their ground truth. The run folder is
+``--out``; ``--ship`` puts its selector into its folder in ``agents/amusic_agents/pretrained``,
+unless the one that is there does better. A run that was stopped goes on where it was.
 """
 
 import math
@@ -21,10 +19,6 @@ from amusic_gym.cli.train import learn
 from amusic_gym.estimation.settings import SICSettings
 from amusic_gym.utils.storage import write_whole
 
-ALGORITHM = {"evidence": "rollouts", "belief": "imitation+ppo"}
-"""Statistic → how what ships for it was trained."""
-
-TIMESTEPS = 2_000_000
 SEED = 0
 REWARD = "ground_truth"
 """Of the simulated routes: a selector that is rewarded with p̂ learns to exploit its errors."""
@@ -77,7 +71,6 @@ def main(arguments: list[str] | None = None) -> None:
     parser = Parser(description=(__doc__ or "").splitlines()[0])
     add = parser.add_argument
     add("--out", type=destination, required=True, help="run folder")
-    add("--timesteps", type=int, default=TIMESTEPS, help=f"of PPO, for belief ({TIMESTEPS})")
     add("--seed", type=int, default=SEED, help=f"({SEED})")
     add("--threads", type=int, default=2, help="that drive; the result is the same (%(default)s)")
     which = "that it ships for (default: %(default)s)"
@@ -88,8 +81,7 @@ def main(arguments: list[str] | None = None) -> None:
 
     folder = shipped(given.statistic, allow_idle=given.allow_idle)
     config = training_config(
-        algorithm=ALGORITHM[given.statistic],
-        timesteps=given.timesteps,
+        algorithm="rollouts",
         seed=given.seed,
         statistic=given.statistic,
         reward=REWARD,

@@ -15,7 +15,7 @@ from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.env import TechniqueSelectionEnv
 from amusic_gym.envs.observation import TECHNIQUE_FEATURES, observation_names
 from amusic_gym.envs.sources import Banks, RouteSource, SimulatedRoutes
-from amusic_gym.routes.simulate import POPULATION, TOURS
+from amusic_gym.routes.simulate import TOURS, TOURS_IN_MOTION
 
 # ---- several banks -----------------------------------------------------------------------
 
@@ -163,7 +163,7 @@ def test_simulated_routes_are_endless_or_a_pool():
 
 
 @pytest.mark.parametrize(
-    ("statistic", "population"), [("evidence", TOURS), ("mean", TOURS), ("belief", POPULATION)]
+    ("statistic", "population"), [("evidence", TOURS), ("mean", TOURS), ("belief", TOURS_IN_MOTION)]
 )
 def test_without_a_bank_the_routes_are_those_of_the_statistic(statistic, population):
     env = TechniqueSelectionEnv(statistic=statistic)

@@ -10,14 +10,13 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from amusic_agents.config import ImitationConfig, RolloutConfig, TrainingConfig
+from amusic_agents.config import RolloutConfig, TrainingConfig
 from amusic_agents.run_folder import CONFIG, SELECTOR
 from amusic_agents.selector import load_selector
 from amusic_agents.shipped import PRETRAINED, shipped
-from amusic_agents.training import IMITATION
 from small_training import SCRIPTS, SMALL
 
-from amusic_gym.cli import status, teacher
+from amusic_gym.cli import status
 
 if str(SCRIPTS) not in sys.path:
     sys.path.insert(0, str(SCRIPTS))  # the training, as the scripts find each other
@@ -28,14 +27,11 @@ pytestmark = pytest.mark.slow
 
 TINY = {
     **SMALL,
-    "imitation": ImitationConfig(rounds=2, frames=64, epochs=1, batch_size=32),
-    "frozen_updates": 1,
     "rollouts": RolloutConfig(
         iterations=2, states=8, subsets=4, hold=2, horizon=6, every=3, epochs=2, batch_size=4
     ),
     "threads": 1,  # processes would not know of the small size
 }
-STEPS = 64
 CARD = "CARD.md"
 
 
@@ -61,13 +57,10 @@ def command(tmp_path_factory):
         patch.setattr(
             "amusic_agents.config.TrainingConfig", lambda **v: TrainingConfig(**{**v, **TINY})
         )
-        patch.setitem(teacher.make_teacher.__kwdefaults__, "routes", 1)
-        patch.setitem(teacher.make_teacher.__kwdefaults__, "grid", teacher.GRID[:3])
 
         def call(out: Path, folder: Path, *more: object) -> None:
             patch.setattr(train_default, "shipped", lambda statistic, allow_idle: folder)
-            words = ["--out", out, "--timesteps", STEPS, *more]
-            train_default.main([str(word) for word in words])
+            train_default.main([str(word) for word in ("--out", out, *more)])
 
         yield call
 
@@ -103,31 +96,24 @@ def better(tmp_path) -> Path:
     return folder
 
 
-def test_a_run_ships_a_selector_that_loads_with_its_configuration_beside_the_card(trained):
-    assert sorted(digests(trained.shipped)) == [CARD, CONFIG, SELECTOR]
-    assert (trained.shipped / CARD).read_text() == "by hand"
-    assert train_default.is_same(trained.out, trained.shipped)
-    stored = json.loads((trained.shipped / CONFIG).read_text("utf-8"))
+@pytest.mark.parametrize("statistic", ["evidence", "belief"])
+def test_a_run_ships_a_selector_that_loads_with_its_configuration(trained, belief, statistic):
+    run = belief if statistic == "belief" else trained
+    files = [CONFIG, SELECTOR] if statistic == "belief" else [CARD, CONFIG, SELECTOR]
+    assert sorted(digests(run.shipped)) == files
+    assert train_default.is_same(run.out, run.shipped)
+    text = (run.shipped / CONFIG).read_text("utf-8")
+    stored = json.loads(text)
     assert stored["training"]["algorithm"] == "rollouts"
     assert stored["training"]["reward"] == "ground_truth"
     assert stored["banks"] == []
     assert stored["best"]["timesteps"] in (8, 16)  # states of one iteration, or of both
-    assert str(trained.out) not in (trained.shipped / CONFIG).read_text(
-        "utf-8"
-    )  # no machine's path
-    load_selector(trained.shipped)
+    assert str(run.out) not in text  # no machine's path
+    load_selector(run.shipped)
 
 
-def test_for_belief_a_teacher_is_chosen_imitated_and_surpassed(belief):
-    assert sorted(digests(belief.shipped)) == [CONFIG, SELECTOR]
-    stored = json.loads((belief.shipped / CONFIG).read_text("utf-8"))
-    assert stored["training"]["algorithm"] == "imitation+ppo"
-    assert stored["training"]["timesteps"] == STEPS
-    assert stored["best"]["timesteps"] <= STEPS
-    assert str(belief.out) not in (belief.shipped / CONFIG).read_text("utf-8")  # no machine's path
-    load_selector(belief.shipped)
-    chosen = json.loads((belief.out / IMITATION / teacher.FILE).read_text("utf-8"))
-    assert len(chosen) == teacher.PARTS
+def test_the_card_stays_as_it_is(trained):
+    assert (trained.shipped / CARD).read_text() == "by hand"
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(
@@ -169,8 +155,6 @@ def test_a_finished_training_is_not_begun_again(
     before = digests(run.out)
     for name in ("collect", "learn"):
         monkeypatch.setattr(f"amusic_agents.policy_iteration.{name}", None)
-    monkeypatch.setattr("amusic_agents.ppo.PPOLearner.evaluate", None)
-    monkeypatch.setattr(teacher, "choose_cascades", None)
     command(run.out, run.shipped, "--statistic", statistic)
     assert capsys.readouterr().out.endswith(f"is the selector that ships for {statistic!r}\n")
     assert digests(run.out) == before

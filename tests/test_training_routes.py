@@ -12,7 +12,7 @@ from amusic_agents.training import simulated_routes
 
 from amusic_gym.cli import settings, train
 from amusic_gym.cli.parser import Parser
-from amusic_gym.routes.simulate import POPULATION, TOURS
+from amusic_gym.routes.simulate import TOURS, TOURS_IN_MOTION
 
 
 def test_what_is_turned_off_on_the_command_line_is_in_the_configuration():
@@ -39,7 +39,7 @@ def test_the_given_ranges_replace_those_of_the_population_and_no_others():
     assert (population.retimed, population.techniques) == (0.0, (3, 3))
     assert population.queries == TOURS.queries
     assert TrainingConfig().population() == TOURS
-    assert TrainingConfig(statistic="belief").population() == POPULATION
+    assert TrainingConfig(statistic="belief").population() == TOURS_IN_MOTION
     bank, _ = simulated_routes(config).sample(np.random.default_rng(0), 0)[:2]
     assert len(bank.techniques) == 3
 

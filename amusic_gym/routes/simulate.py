@@ -265,7 +265,7 @@ POPULATION = Simulation(
     all_fail=0.02,
     exclusive=0.05,
 )
-"""The routes that the belief, p̂ and selectors are fitted on: motion first of all."""
+"""Short routes, most re-timed: what the belief's p̂ is fitted on."""
 
 TOURS = Simulation(
     queries=(150, 500),
@@ -293,10 +293,13 @@ TOURS = Simulation(
 )
 """Steady drives through changing conditions: what SIC's p̂ and its selectors are fitted on."""
 
+TOURS_IN_MOTION = replace(TOURS, queries=(120, 320), retimed=0.5, useless=0.2, decoy=0.15)
+"""Half of them re-timed, and somewhat easier: what the belief's selectors are trained on."""
+
 
 def population(statistic: str) -> Simulation:
-    """The routes that p̂ and selectors of a statistic are fitted on: of its own kind of motion."""
-    return POPULATION if statistic == "belief" else TOURS
+    """The routes that selectors of a statistic are trained on: of its own kind of motion."""
+    return TOURS_IN_MOTION if statistic == "belief" else TOURS
 
 
 def simulate(
