@@ -14,7 +14,7 @@ from recordings import ROUTES
 from amusic_gym.banks.bank import ScoreBank
 from amusic_gym.envs.vector_env import TechniqueSelectionVectorEnv
 from amusic_gym.extraction import extract
-from amusic_gym.routes.simulate import population
+from amusic_gym.routes.simulate import POPULATION, TOURS, Simulation
 
 pytestmark = pytest.mark.slow
 
@@ -58,9 +58,9 @@ def test_15_p_falls_where_another_building_follows(names, statistic, tmp_path):
     assert (p[GOOD:] >= SURE).mean() <= 0.06  # before: 0.5 with evidence
 
 
-@pytest.mark.parametrize("statistic", ["evidence", "belief"])
-def test_15_p_falls_on_simulated_routes_that_leave_the_map(statistic):
-    model = replace(population(statistic), leaves=1.0)
+@pytest.mark.parametrize(("statistic", "routes"), [("evidence", TOURS), ("belief", POPULATION)])
+def test_15_p_falls_on_simulated_routes_that_leave_the_map(statistic: str, routes: Simulation):
+    model = replace(routes, leaves=1.0)
     stays, left = [], []
     for seed in range(20):
         bank = model.route(np.random.default_rng([9, seed]))
