@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from amusic_agents.config import TrainingConfig
+from amusic_agents.evaluation import held_out_routes, measure
 from amusic_agents.network import SelectorNetwork
 from amusic_agents.run_folder import SELECTOR, read_config, stored, write_config, write_selector
 from amusic_agents.selector import load_selector
@@ -14,7 +15,7 @@ from small_training import SMALL
 
 from amusic_gym.envs.sources import SimulatedRoutes
 from amusic_gym.estimation.settings import SICSettings
-from amusic_gym.evaluation.contestants import contestants
+from amusic_gym.evaluation.contestants import COMPUTE_WEIGHTS, contestants
 from amusic_gym.evaluation.metrics import compute
 from amusic_gym.evaluation.rollout import Job, rollout, rollouts
 from amusic_gym.evaluation.study.lineup import Lineup
@@ -92,6 +93,26 @@ def test_it_spends_less_where_compute_costs_more_and_finds_places(statistic):
     spent = np.reshape([compute(trace) for trace in traces], (2, 4)).mean(axis=1)
     assert spent[1] < spent[0]
     assert np.mean([trace.correct.mean() for trace in traces]) > 0.2  # chance is below 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("statistic", SHIPPED)
+def test_a_larger_compute_weight_is_never_dearer_nor_better_by_more_than_half_a_hundredth(
+    statistic,
+):
+    selector = load_selector(statistic=statistic)
+    banks = held_out_routes(population(statistic), 24)
+    accuracy, spent = np.transpose(
+        [
+            np.mean(
+                measure(selector, [Job(bank, weight) for bank in banks], statistic=statistic), 1
+            )
+            for weight in COMPUTE_WEIGHTS
+        ]
+    )[:2]
+    assert (np.diff(spent) <= 0.0).all()
+    assert (np.diff(accuracy) <= 0.005).all()
+    assert spent[0] > 3.0 * spent[-1]
 
 
 def made(spec: str, **insisted):
