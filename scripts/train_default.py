@@ -9,7 +9,7 @@ import math
 from pathlib import Path
 
 from _cli import Parser, destination, run
-from amusic_agents.config import training_config
+from amusic_agents.config import TrainingConfig, training_config
 from amusic_agents.evaluation import HeldOut
 from amusic_agents.run_folder import CONFIG, SELECTOR, read_config, stored_config, write_config
 from amusic_agents.selector import load_selector
@@ -22,8 +22,8 @@ from amusic_gym.utils.storage import write_whole
 SEED = 0
 REWARD = "ground_truth"
 """Of the simulated routes: a selector that is rewarded with p̂ learns to exploit its errors."""
-IDLE_WEIGHTS = (0.02, 0.5)
-"""λ of the one that may idle: at 0.5 it costs a few hundredths, and beyond it is lost too often."""
+IDLE_WEIGHTS = (0.02, 0.3)
+"""λ of the one that may idle: there it costs a few hundredths, and beyond it is lost too often."""
 
 
 def is_same(out: Path, folder: Path) -> bool:
@@ -38,10 +38,11 @@ def ship(out: Path, folder: Path) -> None:
     A selector that does better on the held-out routes is not replaced: a ValueError.
     """
     if not is_same(out, folder):
-        routes = stored_config(out).held_out
-        ours, theirs = score(out, routes), -math.inf
+        config = stored_config(out)
+        routes = config.held_out
+        ours, theirs = score(out, config), -math.inf
         try:
-            theirs = score(folder, routes)
+            theirs = score(folder, config)
         except (FileNotFoundError, ValueError) as error:  # of another version, say
             print(f"No selector to compare with in {folder}: {error}")
         if ours < theirs:
@@ -54,16 +55,18 @@ def ship(out: Path, folder: Path) -> None:
     write_config(folder, read_config(out))
 
 
-def score(run: Path, routes: int) -> float:
-    """Score of a run's selector on held-out routes: true places − λ · compute, per frame.
+def score(run: Path, config: TrainingConfig) -> float:
+    """Score of a run's selector on a training's held-out routes, and at λ of its range.
+
+    True places − λ · compute, per frame.
 
     Raises:
         FileNotFoundError: if there is no selector.
         ValueError: if it was trained with another version, or is damaged.
     """
     selector = load_selector(run)
-    assert selector.needs.statistic is not None
-    return HeldOut(routes, selector.needs.statistic).evaluate(selector, 0).score
+    held_out = HeldOut(config.held_out, config.statistic, config.compute_weights)
+    return held_out.evaluate(selector, 0).score
 
 
 def main(arguments: list[str] | None = None) -> None:

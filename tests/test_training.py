@@ -270,6 +270,22 @@ def test_an_evaluation_is_correct_minus_weighted_compute():
     assert result.score == pytest.approx(result.accuracy - np.mean(COMPUTE_WEIGHTS))
 
 
+@pytest.mark.parametrize(
+    ("within", "weights"), [((0.02, 0.3), [0.03, 0.1, 0.3]), ((0.4, 0.9), [0.6])]
+)
+def test_a_selector_is_judged_at_the_compute_weights_that_it_was_trained_for(
+    within, weights, tmp_path
+):
+    held_out = HeldOut(2, "evidence", within)
+    assert [job.compute_weight for job in held_out.jobs] == pytest.approx(2 * weights)
+    config = small(compute_weights=within, held_out=1)
+    records = Records(tmp_path, config, [None], PPOLearner.kind)
+    assert {job.compute_weight for job in records.held_out.jobs} <= {
+        job.compute_weight for job in held_out.jobs
+    }
+    assert records.policy(SelectorNetwork(NetworkConfig())).compute_weights == within
+
+
 # ---- configuration -------------------------------------------------------------------------
 
 

@@ -1,5 +1,6 @@
 """Judging a selector on routes that no training sees."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -83,11 +84,23 @@ def mean_reward(
 
 
 class HeldOut:
-    """Simulated routes of seeds that training never draws."""
+    """Simulated routes of seeds that training never draws.
 
-    def __init__(self, routes: int, statistic: str) -> None:
+    Args:
+        routes: how many.
+        statistic: SIC's.
+        within: range of λ; of `COMPUTE_WEIGHTS` those in it count, or its middle if none is.
+    """
+
+    def __init__(
+        self, routes: int, statistic: str, within: tuple[float, float] = (0.0, math.inf)
+    ) -> None:
+        low, high = within
+        weights = [weight for weight in COMPUTE_WEIGHTS if low <= weight <= high]
         banks = held_out_routes(population(statistic), routes)
-        self.jobs = [Job(bank, weight) for bank in banks for weight in COMPUTE_WEIGHTS]
+        self.jobs = [
+            Job(bank, weight) for bank in banks for weight in weights or [math.sqrt(low * high)]
+        ]
         self.statistic = statistic
 
     def evaluate(self, selector: Selector, timesteps: int) -> Evaluation:

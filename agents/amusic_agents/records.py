@@ -52,7 +52,7 @@ class Records:
         self.config = config
         self.banks = banks
         self.kind = kind
-        self.held_out = HeldOut(config.held_out, config.statistic)
+        self.held_out = HeldOut(config.held_out, config.statistic, config.compute_weights)
         self.evaluations: list[Evaluation] = []
         self.network: nn.Module | None = None  # the best
         self._stored: Evaluation | None = None  # of the selector on disk
@@ -65,8 +65,10 @@ class Records:
         return max(self.evaluations, key=lambda result: result.score, default=None)
 
     def policy(self, network: nn.Module) -> NetworkSelector:
-        """The policy around a network."""
-        return self.kind(network, self.config.statistic, self.config.environment())
+        """The policy around a network, limited to the range of λ of its training."""
+        policy = self.kind(network, self.config.statistic, self.config.environment())
+        policy.compute_weights = self.config.compute_weights
+        return policy
 
     def evaluate(self, network: nn.Module, timesteps: int) -> Evaluation:
         """Evaluate a network on the held-out routes, and keep a copy of it if it is the best."""

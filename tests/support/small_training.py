@@ -57,7 +57,9 @@ def small_rollouts(**changes: Any) -> TrainingConfig:
 class Quick(HeldOut):
     """Held-out routes that take no time."""
 
-    def __init__(self, routes: int, statistic: str) -> None:
+    def __init__(
+        self, routes: int, statistic: str, within: tuple[float, float] = (0.0, 1.0)
+    ) -> None:
         self.jobs = [Job(random_bank(77, queries=12), 0.5)]
         self.statistic = statistic
 
