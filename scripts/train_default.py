@@ -22,8 +22,8 @@ from amusic_gym.utils.storage import write_whole
 SEED = 0
 REWARD = "ground_truth"
 """Of the simulated routes: a selector that is rewarded with p̂ learns to exploit its errors."""
-IDLE_WEIGHTS = (0.02, 0.3)
-"""λ of the one that may idle: there it costs a few hundredths, and beyond it is lost too often."""
+IDLING = {"compute_weights": (0.02, 0.5), "highest_weight": 0.3}
+"""Of the one that may idle: at λ 0.3 it costs a few hundredths; beyond it is lost too often."""
 
 
 def is_same(out: Path, folder: Path) -> bool:
@@ -65,7 +65,7 @@ def score(run: Path, config: TrainingConfig) -> float:
         ValueError: if it was trained with another version, or is damaged.
     """
     selector = load_selector(run)
-    held_out = HeldOut(config.held_out, config.statistic, config.compute_weights)
+    held_out = HeldOut(config.held_out, config.statistic, config.acting_weights)
     return held_out.evaluate(selector, 0).score
 
 
@@ -90,7 +90,7 @@ def main(arguments: list[str] | None = None) -> None:
         reward=REWARD,
         threads=given.threads,
         allow_idle=given.allow_idle,
-        **({"compute_weights": IDLE_WEIGHTS} if given.allow_idle else {}),
+        **(IDLING if given.allow_idle else {}),
     )
     learn(given.out, config, resume=(given.out / CONFIG).exists())
     idles = " and may idle" if given.allow_idle else ""

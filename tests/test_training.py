@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -284,6 +285,16 @@ def test_a_selector_is_judged_at_the_compute_weights_that_it_was_trained_for(
         job.compute_weight for job in held_out.jobs
     }
     assert records.policy(SelectorNetwork(NetworkConfig())).compute_weights == within
+
+
+def test_beyond_its_highest_weight_a_selector_acts_as_at_it(tmp_path, bank):
+    config = small(compute_weights=(0.1, 2.0), highest_weight=0.5, timesteps=32)
+    assert config.acting_weights == (0.1, 0.5)
+    assert replace(config, highest_weight=9.0).acting_weights == (0.1, 2.0)
+    assert replace(config, highest_weight=0.01).acting_weights == (0.1, 0.1)
+    train(tmp_path, config, banks=[bank], progress=False)
+    assert stored_config(tmp_path) == config
+    assert load_selector(tmp_path).compute_weights == (0.1, 0.5)
 
 
 # ---- configuration -------------------------------------------------------------------------

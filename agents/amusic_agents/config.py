@@ -178,6 +178,8 @@ class TrainingConfig(Settings):
         reward: name in `amusic_gym.envs.rewards.REWARDS`; ``"ground_truth"`` learns from what is
             true on the training routes instead of from p̂, whose errors a selector may exploit.
         compute_weights: range from which every episode draws λ, on a logarithmic scale.
+        highest_weight: λ beyond which the selector acts as at it, where it is within that range,
+            whose upper end is learned worst.
         simulation: name → value or (low, high), of ranges that training routes are drawn from
             instead of those of `amusic_gym.routes.simulate.population`.
         pool: simulated training routes that are drawn from again and again.
@@ -207,6 +209,7 @@ class TrainingConfig(Settings):
     allow_idle: bool = checked(False, flag)
     reward: str = "estimated"
     compute_weights: tuple[float, float] = checked((0.01, 6.0), _weights)
+    highest_weight: float = amount(1e6)
     simulation: dict[str, Any] = field(default_factory=dict)
     pool: int = count(768)
     n_steps: int = count(64)
@@ -239,6 +242,12 @@ class TrainingConfig(Settings):
             )
         self.environment()
         self.population()
+
+    @property
+    def acting_weights(self) -> tuple[float, float]:
+        """Range of λ that the selector acts at; at any other it acts as at the nearest end."""
+        low, high = self.compute_weights
+        return low, max(low, min(high, self.highest_weight))
 
     def environment(self) -> dict[str, Any]:
         """How SIC works besides its statistic, and idling: arguments of the environment.

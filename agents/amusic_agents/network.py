@@ -111,8 +111,8 @@ class NetworkSelector(ABC):
     """A policy that acts as a trained network says.
 
     Attributes:
-        compute_weights: range of λ that it was trained for; at any other λ it acts as at the
-            nearest end. None: no such range.
+        compute_weights: range of λ that it acts at; at any other λ it acts as at the nearest end.
+            None: no such range.
 
     Args:
         network: the network.
@@ -158,7 +158,7 @@ class NetworkSelector(ABC):
         """Actions (N, A) from observations (N, D)."""
 
     def seen(self, observation: NDArray[np.float32]) -> torch.Tensor:
-        """Observations (N, D) as the network takes them, λ within what it was trained for."""
+        """Observations (N, D) as the network takes them, λ within what it acts at."""
         if self.compute_weights is not None:
             observation = limit_compute_weight(observation, *self.compute_weights)
         return torch.from_numpy(observation)

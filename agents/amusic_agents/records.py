@@ -52,7 +52,7 @@ class Records:
         self.config = config
         self.banks = banks
         self.kind = kind
-        self.held_out = HeldOut(config.held_out, config.statistic, config.compute_weights)
+        self.held_out = HeldOut(config.held_out, config.statistic, config.acting_weights)
         self.evaluations: list[Evaluation] = []
         self.network: nn.Module | None = None  # the best
         self._stored: Evaluation | None = None  # of the selector on disk
@@ -65,9 +65,9 @@ class Records:
         return max(self.evaluations, key=lambda result: result.score, default=None)
 
     def policy(self, network: nn.Module) -> NetworkSelector:
-        """The policy around a network, limited to the range of λ of its training."""
+        """The policy around a network, limited to the λ that it acts at."""
         policy = self.kind(network, self.config.statistic, self.config.environment())
-        policy.compute_weights = self.config.compute_weights
+        policy.compute_weights = self.config.acting_weights
         return policy
 
     def evaluate(self, network: nn.Module, timesteps: int) -> Evaluation:

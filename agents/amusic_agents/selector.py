@@ -78,25 +78,26 @@ def load_selector(
     check_layers(path, tensors, network.state_dict())
     network.load_state_dict(tensors)
     selector = kind(network.eval(), own, config["environment"])
-    selector.compute_weights = trained_weights(run, config)
+    selector.compute_weights = acting_weights(run, config)
     return selector
 
 
-def trained_weights(run: Path, config: Mapping[str, Any]) -> tuple[float, float] | None:
-    """Range of λ of a run's training; None where it does not say.
+def acting_weights(run: Path, config: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Range of λ that a run's selector acts at; None where its training does not say.
 
     Raises:
         ValueError: for a range that no training has.
     """
     training = config.get("training")
-    given = training.get("compute_weights") if isinstance(training, dict) else None
-    if given is None:
+    if not isinstance(training, dict) or training.get("compute_weights") is None:
         return None
+    names = ("compute_weights", "highest_weight")
+    given = {name: training[name] for name in names if name in training}
     try:
-        low, high = TrainingConfig(compute_weights=tuple(given)).compute_weights
+        given["compute_weights"] = tuple(given["compute_weights"])
+        return TrainingConfig(**given).acting_weights
     except (TypeError, ValueError) as error:
         raise ValueError(f"{run} is damaged ({error}); train the selector again") from error
-    return low, high
 
 
 def learned_from_truth(run: str | Path) -> bool:
