@@ -68,7 +68,7 @@ def predict(
         modes: (MODES, R) belief, of sum 1.
         size: R.
         free: (R,) scratch.
-        line: (≥ REACH + R + REACH_BACK,) scratch.
+        line: (REACH + R + REACH_BACK,) scratch, or longer.
     """
     add_modes(modes, BACKWARDS, size, free)
     lost, steady, backwards, lasting = 0.0, modes[STEADY], modes[BACKWARDS], single(LASTING)
