@@ -177,7 +177,7 @@ def test_the_belief_is_a_distribution_after_every_frame(seed, activity):
     for action in rng.random((60, 3)) < activity:
         observation = env.step(action)[0]
         assert (belief_of(env) >= 0.0).all()
-        assert belief_of(env).sum() == pytest.approx(1.0, abs=1e-12)
+        assert belief_of(env).sum() == pytest.approx(1.0, abs=1e-6)
         assert np.isfinite(observation).all()
         summary = summary_of(env)
         techniques = env.task.episodes.estimator.state.techniques[0, 0]
@@ -242,12 +242,12 @@ def test_the_order_of_techniques_does_not_matter(seed, order):
     ran = patterned(rng, 30, 4, 0.6)
     for one, two in zip(steps_of(bank, ran), steps_of(other, ran[:, order]), strict=True):
         first, second = one[0][4], two[0][4]
-        np.testing.assert_allclose(one[1], two[1], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(one[1], two[1], rtol=0, atol=1e-5)
         assert first["prediction"] == second["prediction"]
         if not first["idle"]:
             assert first["technique"] == order[second["technique"]]
         for key in ("place", "statistic", "correction"):
-            np.testing.assert_allclose(first[key][order], second[key], rtol=1e-6, atol=1e-6)
+            np.testing.assert_allclose(first[key][order], second[key], rtol=1e-5, atol=1e-4)
 
 
 @settings(max_examples=10, deadline=None)

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import oracle_belief
 import pytest
-from belief_cases import assert_frame, belief_of, settings_of, summary_of
+from belief_cases import CLOSE, assert_frame, belief_of, settings_of, summary_of
 from env_cases import arrays, assert_same, noisy_bank, play, random_actions, random_bank
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -46,7 +46,7 @@ def assert_selection(found: dict, expected: oracle_belief.Selection | None) -> N
     assert np.flatnonzero(found["selected"]).tolist() == expected.chosen
     assert found["late_runs"].tolist() == expected.late_runs
     corrections = np.transpose(found["corrections"])
-    np.testing.assert_allclose(corrections[:size], expected.corrections, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(corrections[:size], expected.corrections, rtol=0, atol=10 * CLOSE)
     assert not corrections[size:].any()
 
 

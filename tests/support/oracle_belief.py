@@ -25,7 +25,7 @@ FORWARDS = {0.0: 1 / 8, 0.5: 1 / 8, 1.0: 1 / 2, 1.5: 1 / 8, 2.0: 1 / 8}  # how o
 SPEEDS: dict[float, float] = {v: 0.995 * share for v, share in FORWARDS.items()} | {-1.0: 0.005}
 MODES: list[Any] = [*SPEEDS, "steady"]
 LEAST = 1e-12  # of what a logarithm is taken of
-EQUAL = 1e-9  # numbers that differ by less, relatively, are ties
+EQUAL = 1e-6  # numbers that differ by less, relatively, are ties
 
 
 @dataclass
@@ -93,8 +93,8 @@ def z_scores(row: Floats) -> Floats | None:
 
 
 def power(value: float) -> float:
-    """Exponential, nearly."""
-    return (1.0 + max(value, -60.0) / 65536.0) ** 65536
+    """Exponential, but of the least."""
+    return math.exp(max(value, -60.0))
 
 
 def likelihood_of(known: Technique, row: Floats) -> tuple[Floats, Floats] | None:
@@ -146,10 +146,9 @@ def correlation_away(one: Floats, other: Floats, place: int) -> float:
     if len(kept) < 3:
         return 0.0
     a, b = one[kept], other[kept]
-    spread = float(np.var(a) * np.var(b))
-    if spread <= 1e-9 * float(np.mean(a * a) * np.mean(b * b)):
+    if any(np.var(logs) <= 1e-9 * np.mean(logs) ** 2 for logs in (a, b)):
         return 0.0
-    return float(np.mean((a - a.mean()) * (b - b.mean()))) / math.sqrt(spread)
+    return float(np.mean((a - a.mean()) * (b - b.mean()))) / float(np.std(a) * np.std(b))
 
 
 def weights_of(matrix: Floats) -> Floats:

@@ -13,37 +13,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amusic_gym.estimation.belief.model import AWAY, LIKENESS, LIKENESS_STEP, SWEEPS
-from amusic_gym.estimation.belief.rows import dot, total
+from amusic_gym.estimation.belief.rows import dot, single, total
 from amusic_gym.kernels.compiling import apart, inner
+from amusic_gym.kernels.tables import part
 
 
 @inner
-def correlation_away(
-    one: NDArray[np.float64], other: NDArray[np.float64], size: int, place: int
+def dot_away(
+    one: NDArray[np.float32], other: NDArray[np.float32], size: int, low: int, high: int
 ) -> float:
-    """Correlation of two rows (R,) over the places away from ``place``; 0: too few."""
-    away = min(AWAY, size // 10)
-    a, b, aa, bb, ab = 0.0, 0.0, 0.0, 0.0, 0.0
-    low, high = max(place - away, 0), min(place + away + 1, size)
-    for c in range(low, high):  # taken off again, so that the sums over all run in four lanes
-        a -= one[c]
-        b -= other[c]
-        aa -= one[c] * one[c]
-        bb -= other[c] * other[c]
-        ab -= one[c] * other[c]
-    a, b, count = a + total(one, size), b + total(other, size), float(size - high + low)
-    aa, bb, ab = aa + dot(one, one, size), bb + dot(other, other, size), ab + dot(one, other, size)
-    spread = (aa * count - a * a) * (bb * count - b * b)
-    if count < 3.0 or spread <= 1e-9 * (aa * bb) * count * count:
+    """Sum of the products of two rows (R,) over the places before ``low`` and from ``high`` on."""
+    rest = size - high
+    return dot(one, other, low) + dot(part(one, high, rest), part(other, high, rest), rest)
+
+
+@apart
+def centre(logs: NDArray[np.float32], size: int, low: int, high: int) -> float:
+    """Subtract from a row (R,) its mean over the places away; the deviation there.
+
+    0 if it hardly varies, or the places are too few.
+    """
+    rest, count = size - high, size - high + low
+    mean = (total(logs, low) + total(part(logs, high, rest), rest)) / max(count, 1)
+    subtracted = single(mean)
+    for c in range(size):
+        logs[c] -= subtracted
+    spread = dot_away(logs, logs, size, low, high)
+    if count < 3 or spread <= 1e-9 * count * mean * mean:
         return 0.0
-    return (ab * count - a * b) / math.sqrt(spread)
+    return math.sqrt(spread)
 
 
 @apart
 def learn_likenesses(
     likenesses: NDArray[np.float64],
-    logs: NDArray[np.float64],
+    logs: NDArray[np.float32],
     weights: NDArray[np.float64],
+    spreads: NDArray[np.float64],
     size: int,
     place: int,
 ) -> None:
@@ -51,18 +57,25 @@ def learn_likenesses(
 
     Args:
         likenesses: (2, S, S) running means, and the frames behind each; below the diagonal.
-        logs: (S, R) log-likelihoods.
+        logs: (S, R) log-likelihoods; their means are taken out.
         weights: (S,) above 0 for a technique that ran and had something to say.
+        spreads: (S,) scratch.
         size: R.
         place: the likeliest before the frame.
     """
+    away = min(AWAY, size // 10)
+    low, high = max(place - away, 0), min(place + away + 1, size)
     for s in range(weights.size):
-        for other in range(s):
-            if weights[s] > 0.0 and weights[other] > 0.0:
-                likenesses[1, s, other] += 1.0
-                step = max(LIKENESS_STEP, 1.0 / likenesses[1, s, other])
-                new = correlation_away(logs[s], logs[other], size, place)
-                likenesses[0, s, other] += step * (new - likenesses[0, s, other])
+        if weights[s] > 0.0:
+            spreads[s] = centre(logs[s], size, low, high)
+            for other in range(s):
+                if weights[other] > 0.0:
+                    likenesses[1, s, other] += 1.0
+                    step = max(LIKENESS_STEP, 1.0 / likenesses[1, s, other])
+                    new, spread = 0.0, spreads[s] * spreads[other]
+                    if spread > 0.0:
+                        new = dot_away(logs[s], logs[other], size, low, high) / spread
+                    likenesses[0, s, other] += step * (new - likenesses[0, s, other])
 
 
 @apart

@@ -54,7 +54,7 @@ class BeliefEstimator:
             "sets": 2 if self._block else 1,
             "two": 2,
             "modes": MODES,
-            "line": REACH + sizes["references"] + REACH_BACK,
+            "line": REACH + 3 * sizes["references"] + REACH_BACK,
         }
         given = {"batch": batch, "calibration": calibration}
         if hasattr(self, "state"):

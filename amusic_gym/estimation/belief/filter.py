@@ -31,7 +31,16 @@ from amusic_gym.estimation.belief.places import (
     marginalise,
     single_technique_posterior,
 )
-from amusic_gym.estimation.belief.rows import highest, power, row_likelihood, take_logs, total
+from amusic_gym.estimation.belief.rows import (
+    ONE,
+    ZERO,
+    highest,
+    logarithm,
+    power,
+    row_likelihood,
+    single,
+    total,
+)
 from amusic_gym.estimation.belief.state import LAGGED, LIVE, BeliefState, restart, state_at
 from amusic_gym.estimation.prediction import (
     SMOOTHING,
@@ -61,39 +70,44 @@ def read_rows(state: BeliefState, which: int, i: int, frame: int) -> int:
         known, likelihood = state.techniques[which, i, s], state.likelihoods[s]
         if prepared_at(runs[s], frame).scale > 0.0:
             hub, variance = state.hubs[which, i, s], state.variances[which, i, s]
-            state.shifts[s] = row_likelihood(
-                known, runs[s], frame, hub, variance, likelihood, state.logs[s]
-            )
+            row_likelihood(known, runs[s], frame, hub, variance, likelihood)
             state.weights[s] = 1.0
         else:
             known.news = 0.0
             for place in range(size):
-                likelihood[place] = 1.0
+                likelihood[place] = ONE
         top = top_at(runs[s], frame)[0]
         single_technique_posterior(state, known, s, top, size, tolerance)
     return count
 
 
 @apart
-def multiply(state: BeliefState, size: int, out: NDArray[np.float64]) -> None:
+def take_logs(values: NDArray[np.float32], size: int, out: NDArray[np.float32]) -> None:
+    """Write the logarithms (R,) of positive values to ``out``."""
+    for place in range(size):
+        out[place] = logarithm(values[place])
+
+
+@apart
+def multiply(state: BeliefState, size: int, out: NDArray[np.float32]) -> None:
     """Write the product (R,) of the likelihoods, each to the power of its weight, to ``out``.
 
     The highest is 1.
     """
     for place in range(size):
-        out[place] = 0.0
+        out[place] = ZERO
     for s in range(state.weights.size):
         if state.weights[s] > 0.0:
-            logs, weight = state.logs[s], state.weights[s]
+            logs, weight = state.logs[s], single(state.weights[s])
             for place in range(size):
                 out[place] += weight * logs[place]
-    top = highest(out, 0, size)
+    top = highest(out, size)
     for place in range(size):
         out[place] = power(out[place] - top)
 
 
 @apart
-def fuse(state: BeliefState, which: int, i: int, size: int, out: NDArray[np.float64]) -> None:
+def fuse(state: BeliefState, which: int, i: int, size: int, out: NDArray[np.float32]) -> None:
     """Write the likelihood (R,) by all rows of a frame to ``out``, and find their weights."""
     useful, only = 0, 0
     for s in range(state.weights.size):
@@ -101,13 +115,13 @@ def fuse(state: BeliefState, which: int, i: int, size: int, out: NDArray[np.floa
             useful, only = useful + 1, s
     if useful < 2:
         for place in range(size):
-            out[place] = state.likelihoods[only, place] if useful else 1.0
+            out[place] = state.likelihoods[only, place] if useful else ONE
     else:
         for s in range(state.weights.size):
             if state.weights[s] > 0.0:
-                take_logs(state.shifts[s], size, state.logs[s])
+                take_logs(state.likelihoods[s], size, state.logs[s])
         likenesses, likeliest = state.likenesses[which, i], first_highest(state.prior, size)
-        learn_likenesses(likenesses, state.logs, state.weights, size, likeliest)
+        learn_likenesses(likenesses, state.logs, state.weights, state.sums, size, likeliest)
         weigh_techniques(likenesses, state.weights, state.sums)
         multiply(state, size, out)
 
@@ -132,12 +146,12 @@ def filter_frame(state: BeliefState, which: int, i: int, frame: int) -> None:
     route, modes, joint = state.beliefs[which, i], state.modes[which, i], state.joint
     size, tolerance = state.batch.routes[i].references, state.batch.routes[i].tolerance
     if frame > 0:
-        predict(modes, size, joint, state.line)
+        predict(modes, size, joint, state.lines[0])
     route.frame = frame
     add_modes(modes, MODES, size, state.prior)
     route.rows = read_rows(state, which, i, frame)
     factor = state.windows
-    stood = standing(state, which, i) - 1.0
+    stood = single(standing(state, which, i) - 1.0)
     for place in range(size):
         more = stood * modes[0, place]
         modes[0, place] += more
@@ -145,14 +159,14 @@ def filter_frame(state: BeliefState, which: int, i: int, frame: int) -> None:
     fuse(state, which, i, size, factor)
     for place in range(size):
         joint[place] = state.prior[place] * factor[place]
-    whole = total(joint, size)
+    whole = single(1.0 / total(joint, size))
     for place in range(size):
-        factor[place] /= whole
+        factor[place] *= whole
     for mode in range(MODES):
         row = modes[mode]
         for place in range(size):
             row[place] *= factor[place]
-    route.p_steady = total(modes[STEADY], size)
+    route.p_steady = min(total(modes[STEADY], size), 1.0)
     marginalise(state, route, size, tolerance)
     route.log_likelihood = 0.0
     for s in range(state.weights.size):

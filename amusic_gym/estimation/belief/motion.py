@@ -21,7 +21,7 @@ from amusic_gym.estimation.belief.model import (
     STEADY,
     STEADY_JUMP,
 )
-from amusic_gym.estimation.belief.rows import total
+from amusic_gym.estimation.belief.rows import ZERO, single, total
 from amusic_gym.kernels.compiling import apart, inner
 from amusic_gym.kernels.tables import part
 
@@ -43,7 +43,7 @@ def moves(mode: int) -> tuple[float, float, float, float]:
 
 
 @apart
-def add_modes(modes: NDArray[np.float64], stop: int, size: int, out: NDArray[np.float64]) -> None:
+def add_modes(modes: NDArray[np.float32], stop: int, size: int, out: NDArray[np.float32]) -> None:
     """Sum (R,) of the first ``stop`` modes."""
     for c in range(size):
         out[c] = modes[0, c]
@@ -55,10 +55,10 @@ def add_modes(modes: NDArray[np.float64], stop: int, size: int, out: NDArray[np.
 
 @apart
 def predict(
-    modes: NDArray[np.float64],
+    modes: NDArray[np.float32],
     size: int,
-    free: NDArray[np.float64],
-    line: NDArray[np.float64],
+    free: NDArray[np.float32],
+    line: NDArray[np.float32],
 ) -> None:
     """Predict the belief of the next frame: steady motion or not, new speeds, motion, jumps.
 
@@ -68,14 +68,14 @@ def predict(
         modes: (MODES, R) belief, of sum 1.
         size: R.
         free: (R,) scratch.
-        line: (REACH + R + REACH_BACK,) scratch, whose first REACH entries are 0.
+        line: (REACH + R + REACH_BACK,) scratch, or longer.
     """
     add_modes(modes, BACKWARDS, size, free)
-    kept, steady, backwards = 0.0, modes[STEADY], modes[BACKWARDS]
+    lost, steady, backwards, lasting = 0.0, modes[STEADY], modes[BACKWARDS], single(LASTING)
     for c in range(size):
-        free[c] += LASTING * backwards[c]
+        free[c] += lasting * backwards[c]
     mixed = part(line, REACH, size + REACH_BACK)
-    mixed[size] = mixed[size + 1] = 0.0
+    line[0] = line[1] = line[2] = mixed[size] = mixed[size + 1] = ZERO
     for mode in range(MODES):
         row = modes[mode]
         if mode == STEADY:
@@ -84,15 +84,25 @@ def predict(
             ends = LASTING if mode == BACKWARDS else 1.0
             keep, change = 1.0 - ends * (SETTLE + (1.0 - SETTLE) * CHANGE), (1.0 - SETTLE) * CHANGE
             change, leave, jump = change * SHARES[mode], LEAVE * SHARES[mode], ends * JUMP
+        a, b, d = single(keep), single(change), single(leave)
         for c in range(size):
-            mixed[c] = keep * row[c] + change * free[c] + leave * steady[c]
-        p0, p1, p2, p3 = moves(mode)
-        seen = part(line, REACH_BACK if mode == BACKWARDS else 0, REACH + size)
+            mixed[c] = a * row[c] + b * free[c] + d * steady[c]
+        chances = moves(mode)
+        stay = 1.0 - jump
+        p0, p1 = single(stay * chances[0]), single(stay * chances[1])
+        p2, p3 = single(stay * chances[2]), single(stay * chances[3])
+        if mode == BACKWARDS:
+            seen = part(line, REACH_BACK, REACH + size)
+            off = (p0 + p1) * mixed[0] + p0 * mixed[1]
+        else:
+            seen = part(line, 0, REACH + size)
+            end = part(line, size, REACH)
+            off = p3 * end[0] + (p2 + p3) * end[1] + (p1 + p2 + p3) * end[2]
+        c0, c1, c2 = part(seen, 3, size), part(seen, 2, size), part(seen, 1, size)
         for c in range(size):
-            moved = p0 * seen[c + 3] + p1 * seen[c + 2] + p2 * seen[c + 1] + p3 * seen[c]
-            row[c] = (1.0 - jump) * moved
-        kept += total(row, size)
+            row[c] = p0 * c0[c] + p1 * c1[c] + p2 * c2[c] + p3 * seen[c]
+        lost += off + jump / stay * (total(row, size) + off)
     for mode in range(SPEEDS):
-        row, gain = modes[mode], (1.0 - kept) * SHARES[mode] / size
+        row, gain = modes[mode], single(lost * SHARES[mode] / size)
         for c in range(size):
             row[c] += gain

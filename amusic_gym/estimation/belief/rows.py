@@ -24,67 +24,69 @@ from amusic_gym.estimation.belief.model import (
     VARIANCE_STEP,
 )
 from amusic_gym.estimation.belief.state import TechniqueBelief
-from amusic_gym.kernels.compiling import apart, inner
+from amusic_gym.kernels.compiling import inner, larger, summing
 
-LOG_FLOOR = math.log(FLOOR)
+single = np.float32
+"""Of what is kept per place; numbers of a technique or a route are double."""
 
-
-@inner
-def total(values: NDArray[np.float64], size: int) -> float:
-    """Sum of the first ``size`` values; in four lanes, because additions of one chain wait."""
-    a, b, c, d = 0.0, 0.0, 0.0, 0.0
-    for four in range(size // 4):
-        first = np.uintp(4 * four)  # unsigned: no check for a negative index
-        a += values[first]
-        b += values[first + np.uintp(1)]
-        c += values[first + np.uintp(2)]
-        d += values[first + np.uintp(3)]
-    for i in range(size - size % 4, size):
-        a += values[i]
-    return (a + b) + (c + d)
+ZERO, ONE, LOWEST = single(0.0), single(1.0), single(-math.inf)
 
 
-@inner
-def dot(one: NDArray[np.float64], other: NDArray[np.float64], size: int) -> float:
-    """Sum of the products of the first ``size`` values, likewise."""
-    a, b, c, d = 0.0, 0.0, 0.0, 0.0
-    for four in range(size // 4):
-        first = np.uintp(4 * four)
-        a += one[first] * other[first]
-        b += one[first + np.uintp(1)] * other[first + np.uintp(1)]
-        c += one[first + np.uintp(2)] * other[first + np.uintp(2)]
-        d += one[first + np.uintp(3)] * other[first + np.uintp(3)]
-    for i in range(size - size % 4, size):
-        a += one[i] * other[i]
-    return (a + b) + (c + d)
+@summing
+def total(values: NDArray[np.float32], size: int) -> float:
+    """Sum of the first ``size`` values."""
+    whole = ZERO
+    for i in range(size):
+        whole += values[i]
+    return np.float64(whole)
 
 
-@inner
-def highest(values: NDArray[np.float64], first: int, stop: int) -> float:
-    """Highest of the values from ``first`` to before ``stop``; −∞ if there is none."""
-    a, b, c, d = -math.inf, -math.inf, -math.inf, -math.inf
-    fours = max(stop - first, 0) // 4
-    for four in range(fours):
-        at = np.uintp(first + 4 * four)
-        a = max(a, values[at])
-        b = max(b, values[at + np.uintp(1)])
-        c = max(c, values[at + np.uintp(2)])
-        d = max(d, values[at + np.uintp(3)])
-    for i in range(first + 4 * fours, stop):
-        a = max(a, values[i])
-    return max(max(a, b), max(c, d))
+@summing
+def dot(one: NDArray[np.float32], other: NDArray[np.float32], size: int) -> float:
+    """Sum of the products of the first ``size`` values."""
+    whole = ZERO
+    for i in range(size):
+        whole += one[i] * other[i]
+    return np.float64(whole)
+
+
+@summing
+def highest(values: NDArray[np.float32], size: int) -> np.float32:
+    """Highest of the first ``size`` values; −∞ if there is none."""
+    best = LOWEST
+    for i in range(size):
+        best = larger(best, values[i])
+    return best
 
 
 @inner
-def power(value: float) -> float:
-    """Exponential of numbers ≤ 0, to within 0.1 % above −11.
+def power(value: np.float32) -> np.float32:
+    """Exponential of numbers ≤ 0, to within 2e-5 above −11.
 
-    (1 + x/65536)^65536 by 16 squarings: a loop of them runs in SIMD, which ``math.exp`` does not.
+    (exp(x/64))^64 by a series and 6 squarings: a loop of them runs in SIMD, which ``math.exp`` does
+    not.
     """
-    base = 1.0 + max(value, -60.0) * (1.0 / 65536.0)
-    for _ in range(16):
+    x = max(value, single(-60.0)) * single(1 / 64)
+    base = single(1 / 6) + x * (single(1 / 24) + x * single(1 / 120))
+    base = ONE + x * (ONE + x * (single(1 / 2) + x * base))
+    for _ in range(6):
         base *= base
     return base
+
+
+@inner
+def logarithm(value: np.float32) -> np.float32:
+    """Logarithm of a positive number that is not subnormal; it runs in SIMD, too.
+
+    From its bits as m 2ⁿ with 1 ≤ m < 2, and log m by a series in (m − √2) / (m + √2).
+    """
+    bits = np.float32(value).view(np.int32)
+    exponent = single(np.int32((bits >> 23) & 0xFF)) - single(126.5)
+    mantissa = np.int32((bits & 0x7FFFFF) | 0x3F800000).view(np.float32)
+    u = (mantissa - single(math.sqrt(2.0))) / (mantissa + single(math.sqrt(2.0)))
+    q = u * u
+    series = single(2.0) + q * (single(2 / 3) + q * (single(2 / 5) + q * single(2 / 7)))
+    return exponent * single(math.log(2.0)) + u * series
 
 
 @inner
@@ -98,34 +100,15 @@ def note_news(known: TechniqueBelief, variance: float) -> None:
         known.usual = variance
 
 
-@inner
-def standardise(run: Run, frame: int, hub: NDArray[np.float64], out: NDArray[np.float64]) -> bool:
-    """Write a row's z-scores (R,) to ``out``; whether places are no candidates.
-
-    These have 0 there and in the mean row.
-    """
-    row, prepared = row_at(run, frame), prepared_at(run, frame)
-    mean, scale = prepared.mean, prepared.scale
-    masked: bool = prepared.state == MASKED
-    for place in range(row.size):
-        out[place] = (row[place] - mean) * scale
-    if masked:
-        for place in range(row.size):
-            if row[place] == -math.inf:
-                out[place] = hub[place] = 0.0
-    return masked
-
-
-@apart
+@summing
 def row_likelihood(
     known: TechniqueBelief,
     run: Run,
     frame: int,
-    hub: NDArray[np.float64],
-    variance: NDArray[np.float64],
-    out: NDArray[np.float64],
-    logs: NDArray[np.float64],
-) -> float:
+    hub: NDArray[np.float32],
+    variance: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
     """Write the likelihood of every place, 1 on average, to ``out``; learn of the row.
 
     A place that is no candidate gets the floor, and has the mean score of all others.
@@ -137,57 +120,45 @@ def row_likelihood(
         hub: (R,) mean row.
         variance: (R,) of each place's news.
         out: (R,).
-        logs: (R,) filled for :func:`take_logs`.
-
-    Returns:
-        The shift that goes with ``logs``.
     """
-    row = row_at(run, frame)
-    size = row.size
-    masked = standardise(run, frame, hub, out)
-    own, common, hubs = dot(out, out, size), dot(out, hub, size), dot(hub, hub, size)
-    alike = min(max(common / math.sqrt(own * hubs + 1e-12), 0.0), 1.0)
-    note_news(known, max(own - 2.0 * alike * common + alike * alike * hubs, 0.0) / size)
-    step = HUB_STEP if known.rows > 0.0 else 1.0
-    spread = max(VARIANCE_STEP, 1.0 / (known.rows + 2.0))
+    row, prepared = row_at(run, frame), prepared_at(run, frame)
+    size, mean, scale = row.size, prepared.mean, prepared.scale
+    if prepared.state == MASKED:
+        for place in range(size):
+            hub[place] = hub[place] if row[place] > LOWEST else ZERO
+    a, b, c = ZERO, ZERO, ZERO
+    for place in range(size):
+        z = single((row[place] - mean) * scale) if row[place] > LOWEST else ZERO
+        out[place] = z
+        a += z * z
+        b += z * hub[place]
+        c += hub[place] * hub[place]
+    own, common, hubs = float(a), float(b), float(c)
+    share = min(max(common / math.sqrt(own * hubs + 1e-12), 0.0), 1.0)
+    note_news(known, max(own - 2.0 * share * common + share * share * hubs, 0.0) / size)
+    alike, least = single(share), single(LEAST_VARIANCE)
+    step = single(HUB_STEP if known.rows > 0.0 else 1.0)
+    spread = single(max(VARIANCE_STEP, 1.0 / (known.rows + 2.0)))
+    known.rows += 1.0
+    a, b, top = ZERO, ZERO, LOWEST
     for place in range(size):
         z, usual = out[place], variance[place]
         news = z - alike * hub[place]
         hub[place] += step * (z - hub[place])
         variance[place] += spread * (news * news - usual)
-        out[place] = news / math.sqrt(max(usual, LEAST_VARIANCE))
-    known.rows += 1.0
-    average = total(out, size) / size
-    for place in range(size):
-        out[place] -= average
-    deviation = math.sqrt(dot(out, out, size) / size)
+        score = news / math.sqrt(max(usual, least))
+        out[place] = score
+        a += score
+        b += score * score
+        top = larger(top, score)
+    average = float(a) / size
+    deviation = math.sqrt(max(float(b) / size - average * average, 0.0))
     known.news = math.sqrt(min(deviation, 1.0))
-    slope, top = SLOPE * known.news / max(deviation, 1e-9), highest(out, 0, size)
+    slope, whole = single(SLOPE * known.news / max(deviation, 1e-9)), ZERO
     for place in range(size):
-        logs[place] = slope * (out[place] - top)
-        out[place] = power(logs[place])
-    if masked:
-        for place in range(size):
-            if row[place] == -math.inf:
-                out[place], logs[place] = 0.0, -math.inf
-    factor = (1.0 - FLOOR) * size / total(out, size)
+        likelihood = power(slope * (out[place] - top)) if row[place] > LOWEST else ZERO
+        out[place] = likelihood
+        whole += likelihood
+    factor, floor = single((1.0 - FLOOR) * size / float(whole)), single(FLOOR)
     for place in range(size):
-        out[place] = factor * out[place] + FLOOR
-    return math.log(factor / FLOOR)
-
-
-@apart
-def take_logs(shift: float, size: int, logs: NDArray[np.float64]) -> None:
-    """Turn what :func:`row_likelihood` left in ``logs`` (R,) into log-likelihoods.
-
-    log(F + f eˣ) = log F + max(d, 0) + log(1 + e^−|d|) with d = x + log(f / F), the last logarithm
-    by its series in e^−|d| / (2 + e^−|d|), which runs in SIMD.
-    """
-    for place in range(size):
-        excess = logs[place] + shift
-        rest = power(-abs(excess))
-        u = rest / (2.0 + rest)
-        q = u * u
-        series = 1 / 9 + q * (1 / 11 + q * (1 / 13 + q * (1 / 15)))
-        series = 1.0 + q * (1 / 3 + q * (1 / 5 + q * (1 / 7 + q * series)))
-        logs[place] = LOG_FLOOR + max(excess, 0.0) + 2.0 * u * series
+        out[place] = factor * out[place] + floor

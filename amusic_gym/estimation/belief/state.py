@@ -50,28 +50,27 @@ class BeliefState(Table):
     Arrays: ``beliefs`` (sets, N), ``techniques`` (sets, N, S), ``modes`` (sets, N, MODES, R)
     probability of place and way of moving, ``hubs`` and ``variances`` (sets, N, S, R) mean row and
     variance of its places' scores, ``likenesses`` (sets, N, 2, S, S) correlations of techniques and
-    the number of frames behind them; scratch: ``likelihoods`` and ``logs`` (S, R), ``shifts``,
-    ``weights`` and ``sums`` (S,), ``prior``, ``joint``, ``windows`` (R,) and ``line``
-    (REACH + R + REACH_BACK,).
+    the number of frames behind them; scratch: ``likelihoods`` and ``logs`` (S, R), ``weights``
+    and ``sums`` (S,), ``prior``, ``joint``, ``windows`` (R,) and ``lines`` (2, REACH + 3 R +
+    REACH_BACK). What has an entry per place is single, all else double.
     """
 
     batch: Batch
     calibration: NDArray[np.float64] = array(np.float64, "coefficients")
     beliefs: NDArray[Any] = array(RouteBelief, "sets", "routes")
     techniques: NDArray[Any] = array(TechniqueBelief, "sets", "routes", "slots")
-    modes: NDArray[np.float64] = array(np.float64, "sets", "routes", "modes", "references")
-    hubs: NDArray[np.float64] = array(np.float64, "sets", "routes", "slots", "references")
-    variances: NDArray[np.float64] = array(np.float64, "sets", "routes", "slots", "references")
+    modes: NDArray[np.float32] = array(np.float32, "sets", "routes", "modes", "references")
+    hubs: NDArray[np.float32] = array(np.float32, "sets", "routes", "slots", "references")
+    variances: NDArray[np.float32] = array(np.float32, "sets", "routes", "slots", "references")
     likenesses: NDArray[np.float64] = array(np.float64, "sets", "routes", "two", "slots", "slots")
-    likelihoods: NDArray[np.float64] = array(np.float64, "slots", "references", kept=False)
-    logs: NDArray[np.float64] = array(np.float64, "slots", "references", kept=False)
-    shifts: NDArray[np.float64] = array(np.float64, "slots", kept=False)
+    likelihoods: NDArray[np.float32] = array(np.float32, "slots", "references", kept=False)
+    logs: NDArray[np.float32] = array(np.float32, "slots", "references", kept=False)
     weights: NDArray[np.float64] = array(np.float64, "slots", kept=False)
     sums: NDArray[np.float64] = array(np.float64, "slots", kept=False)
-    prior: NDArray[np.float64] = array(np.float64, "references", kept=False)
-    joint: NDArray[np.float64] = array(np.float64, "references", kept=False)
-    windows: NDArray[np.float64] = array(np.float64, "references", kept=False)
-    line: NDArray[np.float64] = array(np.float64, "line", kept=False)
+    prior: NDArray[np.float32] = array(np.float32, "references", kept=False)
+    joint: NDArray[np.float32] = array(np.float32, "references", kept=False)
+    windows: NDArray[np.float32] = array(np.float32, "references", kept=False)
+    lines: NDArray[np.float32] = array(np.float32, "two", "line", kept=False)
 
     def beside(self, active: NDArray[np.bool_]) -> BeliefState:
         """The same memory with scratch and active routes (N,) of its own, for another thread."""
@@ -104,7 +103,7 @@ def begin(state: BeliefState, i: int, references: int) -> None:
 
 
 @apart
-def copy_rows(source: NDArray[np.float64], target: NDArray[np.float64]) -> None:
+def copy_rows(source: NDArray[Any], target: NDArray[Any]) -> None:
     """Copy (n, R) numbers; a loop, because slices compile ten times as long."""
     for row in range(source.shape[0]):
         for place in range(source.shape[1]):
