@@ -64,6 +64,8 @@ docs: setup
 
 # Small arrays on several processes: one thread each is fastest.
 check test: export OMP_NUM_THREADS ?= 1
+# Hundreds of processes would each compile the sources where a shell says to keep no bytecode.
+check test: export PYTHONDONTWRITEBYTECODE :=
 check: lint
 	$(PY) -m pytest -n $(WORKERS) --dist worksteal -m "not slow" $(ARGS)
 

@@ -25,6 +25,14 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # windows of render_mode="human" go nowhere
 
 
+LONGEST = ("test_bench.py", "test_demo.py", "test_wheel.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with what takes long by itself: at the end, other processes would wait for it."""
+    items.sort(key=lambda item: item.path.name not in LONGEST)
+
+
 @pytest.fixture(scope="session")
 def tiny_bank() -> ScoreBank:
     """The bank that is worked out by hand in `golden`: 3 techniques, 5 queries, 6 places."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import subprocess
@@ -39,19 +40,64 @@ def tasks() -> list[str]:
     return list(dict.fromkeys(c for page in PAGES for c in commands(page.read_text("utf-8"))))
 
 
+# Calls scripts, each in a process of its own that has what takes long to import already, but no
+# module of this project; prints what they said as JSON.
+CALLED = """
+import json, os, runpy, sys, tempfile, traceback
+import cv2, gymnasium, matplotlib, numba, scipy.stats, stable_baselines3, torch
+said = []
+for script, *words in json.loads(sys.argv[1]):
+    with tempfile.TemporaryFile("w+") as output:
+        child = os.fork()
+        if not child:
+            os.dup2(output.fileno(), 1)
+            os.dup2(output.fileno(), 2)
+            sys.path[0], sys.argv = os.path.dirname(script), [script, *words]
+            status = 1
+            try:
+                runpy.run_path(script, run_name="__main__")
+            except SystemExit as ended:
+                status = ended.code
+            except BaseException:
+                traceback.print_exc()
+            sys.stdout.flush()
+            os._exit(status)
+        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        output.seek(0)
+        said.append((status, output.read()))
+assert not any(name.startswith("amusic") for name in sys.modules)
+print(json.dumps(said))
+"""
+
+
+def begins(command: str) -> list[tuple[str, ...]]:
+    """What of a command has a ``--help``: its script, and with a subcommand both."""
+    script, *arguments = shlex.split(command)[1:]
+    is_subcommand = bool(arguments) and not arguments[0].startswith("-")
+    return [(script,), (script, arguments[0])] if is_subcommand else [(script,)]
+
+
 @cache
-def help_of(*script: str) -> str:
-    """What `python scripts/NAME.py [SUBCOMMAND] --help` prints."""
+def helps() -> dict[tuple[str, ...], tuple[int, str]]:
+    """Exit status and output of ``--help`` of every script and subcommand that a page names."""
+    named = [each for task in tasks() if task.startswith("python") for each in begins(task)]
+    calls = list(dict.fromkeys([*named, ("scripts/demo.py",)]))
     done = subprocess.run(
-        [sys.executable, *script, "--help"],
+        [sys.executable, "-c", CALLED, json.dumps([[*call, "--help"] for call in calls])],
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=120,
-        check=False,
+        timeout=300,
+        check=True,
     )
-    assert done.returncode == 0, f"{' '.join(script)} --help: {done.stderr}"
-    return done.stdout
+    return dict(zip(calls, json.loads(done.stdout), strict=True))
+
+
+def help_of(*script: str) -> str:
+    """What `python scripts/NAME.py [SUBCOMMAND] --help` prints."""
+    status, said = helps()[script]
+    assert status == 0, f"{' '.join(script)} --help: {said}"
+    return said
 
 
 def check_script(words: list[str]) -> None:

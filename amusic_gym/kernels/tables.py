@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, ClassVar, Self, get_type_hints
 
 import numpy as np
@@ -108,7 +109,7 @@ class Layout(types.Type):
             elif isinstance(kind, types.Array):
                 assert value.flags.c_contiguous
                 assert value.ndim == kind.ndim
-                assert numpy_support.from_dtype(value.dtype) == kind.dtype
+                assert _entry_of(value.dtype) == kind.dtype
                 gone = isinstance(values, Table) and values.is_per_frame(field) and values.gone
                 first = value.ctypes.data - gone * value.itemsize
                 entries = [first, *value.shape, *value.strides]
@@ -118,6 +119,13 @@ class Layout(types.Type):
             else:
                 words[start] = value
         return words
+
+
+@cache
+def _entry_of(dtype: np.dtype[Any]) -> types.Type:
+    """Numba's type of an array's entries; it takes Numba most of the time to make a table."""
+    kind: types.Type = numpy_support.from_dtype(dtype)
+    return kind
 
 
 def _words_of(kind: Any) -> int:
@@ -154,8 +162,7 @@ class Table:
             column = getattr(cls, name, None)
             if isinstance(column, Column):
                 cls.columns[name] = column
-                entry = numpy_support.from_dtype(column.dtype)
-                kinds[name] = types.Array(entry, len(column.sizes), "C")
+                kinds[name] = types.Array(_entry_of(column.dtype), len(column.sizes), "C")
             elif name not in ("layout", "columns", "sizes"):
                 kinds[name] = numbers[kind] if kind in numbers else kind.layout
         cls.layout = Layout(cls.__qualname__, kinds)

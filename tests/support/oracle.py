@@ -75,6 +75,11 @@ def candidates_of(row: Numbers) -> list[int]:
     return [place for place in range(len(row)) if row[place] != -math.inf] or [*range(len(row))]
 
 
+def clip(value: float, low: float, high: float) -> float:
+    """The nearest number of a range."""
+    return min(max(value, low), high)
+
+
 def equal(value: float, highest: float) -> bool:
     """Whether a statistic counts as equal to the highest one."""
     return abs(highest - value) <= RELATIVE_TIE * abs(highest) + ABSOLUTE_TIE
@@ -168,6 +173,8 @@ class Memory:
 
     winners: list[dict[int, int]]  # (T,) frame on which the technique ran -> its match
     fused: dict[int, int] = field(default_factory=dict)  # frame on which any ran -> prediction
+    alike: dict[tuple[int, int], float] = field(default_factory=dict)
+    """(technique, frame) -> how alike its row is to the one before: found once in a route."""
 
     @classmethod
     def of(cls, techniques: int) -> Memory:
@@ -207,14 +214,24 @@ def row_correlation(before: Numbers, now: Numbers, rows: Numbers, shift: int = 1
     return math.fsum(before[a] * now[b] for a, b in both) / max(len(both), 1)
 
 
-def serial_discount(z: Numbers, ran: Numbers, q: int, scores: Numbers) -> float:
+def serial_discount(
+    z: Numbers,
+    ran: Numbers,
+    q: int,
+    scores: Numbers,
+    technique: int = 0,
+    alike: dict[tuple[int, int], float] | None = None,
+) -> float:
     """The factor on a technique's statistic for the serial correlation of its rows up to q."""
+    alike = {} if alike is None else alike
     pairs = [frame for frame in range(1, q + 1) if ran[frame - 1] and ran[frame]]
     total, weights = [], []
     for number, frame in enumerate(pairs):
         weight = SERIAL_FORGETTING ** (len(pairs) - 1 - number)
-        alike = row_correlation(z[frame - 1], z[frame], scores[frame - 1 : frame + 1])
-        total.append(weight * alike)
+        if (technique, frame) not in alike:
+            found = row_correlation(z[frame - 1], z[frame], scores[frame - 1 : frame + 1])
+            alike[technique, frame] = found
+        total.append(weight * alike[technique, frame])
         weights.append(weight)
     prior = SERIAL_PRIOR_ROWS * SERIAL_FORGETTING ** len(pairs)
     rho = math.fsum([*total, prior * SERIAL_PRIOR]) / math.fsum([*weights, prior])
@@ -266,8 +283,9 @@ def music(
     factors = None
     if discount:
         factors = [math.nan for _ in scores]
+        alike = None if memory is None else memory.alike
         for t in present:
-            factors[t] = serial_discount(z[t], column(ran, t), q, scores[t])
+            factors[t] = serial_discount(z[t], column(ran, t), q, scores[t], t, alike)
     found = [result for result in sics if result is not None]
     unfused = Music(-1, -1, math.nan, sics, factors)
     best = first_best(
@@ -313,8 +331,8 @@ def likeness(results: Sequence[Music | None], z: Numbers, technique: int, scores
         result = results[frame]
         if result is None or result.sics[technique] is None or result.technique == technique:
             continue
-        trusted, own = np.array(z[result.technique][frame]), np.array(z[technique][frame])
-        if not trusted.any() or not own.any():  # of a constant row
+        trusted, own = z[result.technique][frame], z[technique][frame]
+        if not any(trusted) or not any(own):  # of a constant row
             return 1.0
         rows = [scores[t][frame] for t in (result.technique, technique)]
         return row_correlation(trusted, own, rows, shift=0)
@@ -336,7 +354,7 @@ def others(
         if technique == result.technique or not matches:
             continue
         last = max(matches)
-        alike = np.clip(likeness(results, z, technique, scores), 0.0, 1.0)
+        alike = clip(likeness(results, z, technique, scores), 0.0, 1.0)
         weight = (1.0 - alike) * SUPPORT_MEMORY ** (frame - last)
         weights.append(weight)
         if abs(matches[last] + frame - last - result.place) <= tolerance:
@@ -385,7 +403,7 @@ class OnMap:
         share = (0.9 + runs * self.usual(self.near[t])) / (3 + runs)
         share = min(max(share, chance + 0.02), 0.95)
         second = math.log(share / chance) if near else math.log((1 - share) / (1 - chance))
-        return 0.5 * float(np.clip(first, -4, 4) + np.clip(second, -4, 4))
+        return 0.5 * (clip(first, -4.0, 4.0) + clip(second, -4.0, 4.0))
 
     def note(self, frame: int, ran: Sequence[int], place: int) -> float:
         """Take in a frame: the techniques that ran on it and the prediction, −1 for none."""
@@ -400,7 +418,7 @@ class OnMap:
         p = 1.0 / (1.0 + math.exp(-self.log_odds))
         p = 0.99 * p + 0.02 * (1.0 - p)
         odds = math.log(p / (1.0 - p)) + max(ratios) + min(ratios)
-        self.log_odds = float(np.clip(odds, -12.0, 12.0))
+        self.log_odds = clip(odds, -12.0, 12.0)
         return self.log_odds
 
 

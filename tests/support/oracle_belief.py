@@ -281,10 +281,15 @@ class Belief:
         names = list(useful)
         place = next(c for c in range(self.size) if prior[c] >= prior.max() * (1 - EQUAL))
         matrix = np.eye(len(names))
+        rows = [useful[name].tobytes() for name in names]
+        found: dict[tuple[bytes, bytes], float] = {}  # many techniques may have the same rows
         for b, other in enumerate(names):
             for a, one in enumerate(names[:b]):
                 mean, frames = self.alike.get((one, other), (0.0, 0))
-                new = correlation_away(useful[one], useful[other], place)
+                if (rows[a], rows[b]) not in found:
+                    new = correlation_away(useful[one], useful[other], place)
+                    found[rows[a], rows[b]] = new
+                new = found[rows[a], rows[b]]
                 step = max(model.LIKENESS_STEP, 1.0 / (frames + 1))
                 mean += step * (new - mean)
                 self.alike[one, other] = mean, frames + 1

@@ -44,6 +44,7 @@ def assert_route(infos: list[dict], expected: oracle.Route, seconds) -> None:
     assert [info["technique"] for info in infos] == expected.chosen
     assert [list(info["ran"]) for info in infos] == expected.ran
     selections = {selection.frame: selection for selection in expected.selections}
+    charged = []
     for frame, info in enumerate(infos):
         late = np.zeros(len(seconds))
         if "selection" in info:
@@ -51,7 +52,8 @@ def assert_route(infos: list[dict], expected: oracle.Route, seconds) -> None:
         if frame in selections:
             assert_selection(info["selection"], selections[frame])
             late += selections[frame].late_runs
-        np.testing.assert_allclose(info["seconds"], (late + info["ran"]) @ seconds, **CLOSE)
+        charged.append((late + info["ran"]) @ seconds)
+    np.testing.assert_allclose([info["seconds"] for info in infos], charged, **CLOSE)
     total = sum(info["seconds"] for info in infos)
     np.testing.assert_allclose(total, np.dot(expected.runs(), seconds), **CLOSE)
 
@@ -82,9 +84,9 @@ def follow(
     start: int = 0,
 ) -> oracle.Route:
     """What must come of actions, with a re-select bit where there is a block, as explicit loops."""
-    scores = bank.scores[:, start:]
+    scores = bank.scores[:, start:].tolist()  # loops are sooner through with Python's numbers
     settings = as_settings(chosen, oracle.standardise_bank(scores))
-    z, width, queries = settings[4], *scores.shape[:2]
+    z, width, queries = settings[4], len(scores), len(scores[0])
     exists = [[False] * width for _ in range(queries)]
     memory, route = oracle.Memory.of(width), oracle.Route()
     on_map = oracle.OnMap(scores, z, bank.tolerance)
