@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from _cli import Parser, run
-from amusic_agents.selector import load_selector
 from numpy.typing import NDArray
 
 from amusic_gym.banks.bank import ScoreBank
@@ -78,6 +77,8 @@ def main() -> None:
     groups = [group.split(",") for group in args.group or NAMES]
     if unknown := {name for group in groups for name in group} - set(NAMES):
         raise ValueError(f"no feature is called {sorted(unknown)[0]!r}; give any of {list(NAMES)}")
+    from amusic_agents.selector import load_selector  # PyTorch takes seconds, --help needs none
+
     routes, selector = population(args.statistic), load_selector(statistic=args.statistic)
     seeds = [[args.seed, i] for i in range(args.routes)]
     banks = [routes.route(np.random.default_rng(seed)) for seed in seeds]

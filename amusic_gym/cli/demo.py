@@ -13,7 +13,6 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 
-from amusic_agents.selector import load_selector
 from amusic_agents.shipped import shipped
 
 from amusic_gym.banks.bank import ScoreBank
@@ -55,6 +54,8 @@ def add_arguments(parser: Parser) -> None:
 
 def main(given: argparse.Namespace) -> None:
     """Render, extract, compare, tell."""
+    from amusic_agents.selector import load_selector
+
     begun = time.monotonic()
 
     def say(text: str) -> None:
