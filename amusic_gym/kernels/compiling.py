@@ -108,7 +108,9 @@ def inner(function: Function) -> Function:
 def summing(function: Function) -> Function:
     """As :func:`apart`, for sums in any order: their loops run in SIMD, on finite numbers only.
 
-    The order is that of the machine's lanes, and differs between machines.
+    The order is that of the machine's lanes, and differs between machines. The function must write
+    to no array: LLVM lets a loop that does run in SIMD only where arrays are far enough from each
+    other, so that the order would depend on where they lie.
     """
     freely = {"reassoc", "nsz", "nnan"}
     compiled_function: Function = _once(_njit(**INNER, fastmath=freely)(function))

@@ -24,7 +24,7 @@ from amusic_gym.estimation.belief.model import (
     VARIANCE_STEP,
 )
 from amusic_gym.estimation.belief.state import TechniqueBelief
-from amusic_gym.kernels.compiling import inner, larger, summing
+from amusic_gym.kernels.compiling import apart, inner, larger, summing
 
 single = np.float32
 """Of what is kept per place; numbers of a technique or a route are double."""
@@ -100,7 +100,7 @@ def note_news(known: TechniqueBelief, variance: float) -> None:
         known.usual = variance
 
 
-@summing
+@apart
 def row_likelihood(
     known: TechniqueBelief,
     run: Run,
@@ -126,39 +126,27 @@ def row_likelihood(
     if prepared.state == MASKED:
         for place in range(size):
             hub[place] = hub[place] if row[place] > LOWEST else ZERO
-    a, b, c = ZERO, ZERO, ZERO
     for place in range(size):
-        z = single((row[place] - mean) * scale) if row[place] > LOWEST else ZERO
-        out[place] = z
-        a += z * z
-        b += z * hub[place]
-        c += hub[place] * hub[place]
-    own, common, hubs = float(a), float(b), float(c)
+        out[place] = single((row[place] - mean) * scale) if row[place] > LOWEST else ZERO
+    own, common, hubs = dot(out, out, size), dot(out, hub, size), dot(hub, hub, size)
     share = min(max(common / math.sqrt(own * hubs + 1e-12), 0.0), 1.0)
     note_news(known, max(own - 2.0 * share * common + share * share * hubs, 0.0) / size)
     alike, least = single(share), single(LEAST_VARIANCE)
     step = single(HUB_STEP if known.rows > 0.0 else 1.0)
     spread = single(max(VARIANCE_STEP, 1.0 / (known.rows + 2.0)))
     known.rows += 1.0
-    a, b, top = ZERO, ZERO, LOWEST
     for place in range(size):
         z, usual = out[place], variance[place]
         news = z - alike * hub[place]
         hub[place] += step * (z - hub[place])
         variance[place] += spread * (news * news - usual)
-        score = news / math.sqrt(max(usual, least))
-        out[place] = score
-        a += score
-        b += score * score
-        top = larger(top, score)
-    average = float(a) / size
-    deviation = math.sqrt(max(float(b) / size - average * average, 0.0))
+        out[place] = news / math.sqrt(max(usual, least))
+    average = total(out, size) / size
+    deviation = math.sqrt(max(dot(out, out, size) / size - average * average, 0.0))
     known.news = math.sqrt(min(deviation, 1.0))
-    slope, whole = single(SLOPE * known.news / max(deviation, 1e-9)), ZERO
+    slope, top = single(SLOPE * known.news / max(deviation, 1e-9)), highest(out, size)
     for place in range(size):
-        likelihood = power(slope * (out[place] - top)) if row[place] > LOWEST else ZERO
-        out[place] = likelihood
-        whole += likelihood
-    factor, floor = single((1.0 - FLOOR) * size / float(whole)), single(FLOOR)
+        out[place] = power(slope * (out[place] - top)) if row[place] > LOWEST else ZERO
+    factor, floor = single((1.0 - FLOOR) * size / total(out, size)), single(FLOOR)
     for place in range(size):
         out[place] = factor * out[place] + floor
