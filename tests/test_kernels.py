@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import copy
 import pickle
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, Any
 
 import numba
@@ -13,6 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import amusic_gym
 from amusic_gym.kernels import compiling
 from amusic_gym.kernels.tables import Record, Table, array, part, reader, view
 
@@ -187,3 +190,20 @@ def test_functions_inside_are_compiled_once_whatever_constants_they_get():
     with uses_of("compiling.py"):
         assert constants(6) == 4.0 + 3.0 + 3.0 + 2.0
     assert len(half.overloads) == len(third.overloads) == 1
+
+
+def test_functions_that_sum_in_any_order_write_to_no_array():
+    """Else the order would depend on where arrays lie in memory: see `summing`."""
+    found = 0
+    for file in Path(amusic_gym.__file__).parent.rglob("*.py"):
+        for function in ast.walk(ast.parse(file.read_text("utf-8"))):
+            decorators = getattr(function, "decorator_list", [])
+            if "summing" in [ast.unparse(each) for each in decorators]:
+                found += 1
+                writes = [
+                    ast.unparse(node)
+                    for node in ast.walk(function)
+                    if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Store)
+                ]
+                assert not writes, f"{file}: {function.name} writes {writes}"
+    assert found
