@@ -177,6 +177,7 @@ def test_what_is_searched_by_default_is_what_the_algorithm_takes(algorithm):
         ({"statistic": ("mean",)}, "statistic is no number"),
         ({"allow_idle": (True,)}, "allow_idle is no number"),
         ({"seed": Range(0, 9)}, "seed decides how trials are judged"),
+        ({"highest_weight": (1.0,)}, "highest_weight decides how trials are judged"),
         ({"entropy": Range(1.0, 0.5)}, "entropy from 1.0 to 0.5; give LOW <= HIGH"),
         ({"entropy": Range(0.0, 0.5, log=True)}, "0 < LOW for log"),
         ({"gae_lambda": Range(0.5, 1.5)}, "gae_lambda is 1.5"),

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 JOURNAL, BEST, TRIALS = "journal.log", "best.json", "trials"
 NAME = "amusic"
 
-JUDGING = ("seed", "timesteps", "threads", "evaluate_every", "held_out")
+JUDGING = ("seed", "timesteps", "threads", "evaluate_every", "held_out", "highest_weight")
 """Settings that are no part of a search: they decide how long, on what and how well is measured."""
 
 
